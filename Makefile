@@ -1,0 +1,45 @@
+# Everything runs in .venv, with the versions of constraints.txt. `make` alone lists the targets.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help bank test lint bench clean
+
+help:
+	@echo "make bank    build the default bank into masks_cache/ and draw it"
+	@echo "make test    run all tests"
+	@echo "make lint    ruff and mypy"
+	@echo "make bench   print the benchmark tables"
+	@echo "make clean   remove the environment and everything built"
+
+$(VENV)/.core: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "slicemask needs Python 3.11 or newer; name one with make PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) -e .
+	@touch $@
+
+# torch is asked for by its exact version alone, so that the pinned build is the one taken.
+$(VENV)/.full: $(VENV)/.core
+	$(PIP) "$$(grep '^torch==' constraints.txt)"
+	$(PIP) -e '.[model,test,lint,bench]'
+	@touch $@
+
+bank: $(VENV)/.core
+	$(BIN)/slicemask build --grid 21x21x64 --hfov 360
+	$(BIN)/slicemask visualize --out masks_cache/default.png
+
+test: $(VENV)/.full
+	$(BIN)/python -m pytest -n auto
+
+lint: $(VENV)/.full
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.full
+	$(BIN)/python -m benchmarks
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache

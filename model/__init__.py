@@ -1,0 +1,1 @@
+"""SliceMatch in torch, on slicemask banks."""
