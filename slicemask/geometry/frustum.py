@@ -1,0 +1,82 @@
+"""The camera's horizontal field of view and how it is cut into slices."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slicemask.errors import SpecError
+
+Projection = Literal["equirectangular", "pinhole"]
+
+
+@dataclass(frozen=True)
+class Frustum:
+    """A horizontal field of view, cut into slices from left to right in the ground image.
+
+    Parameters
+    ----------
+    hfov_deg : float
+        Horizontal field of view (HFoV) in degrees: in (0, 360], and below 180 for a pinhole.
+    slices : int
+        Number of slices N, at least 1.
+    projection : {"equirectangular", "pinhole"}
+        Equal azimuth ranges (SliceMatch, CVPR 2023, section 3), or equal widths in the image of
+        a pinhole camera.
+
+    Raises
+    ------
+    SpecError
+        If a value is out of its range.
+
+    Examples
+    --------
+    >>> Frustum(hfov_deg=90, slices=2).edge_offsets_deg().tolist()
+    [-45.0, 0.0, 45.0]
+    """
+
+    hfov_deg: float = 360.0
+    slices: int = 16
+    projection: Projection = "equirectangular"
+
+    def __post_init__(self) -> None:
+        if self.projection not in get_args(Projection):
+            raise SpecError(
+                f"projection is {self.projection!r}; it must be one of "
+                f"{', '.join(get_args(Projection))}"
+            )
+        if not isinstance(self.slices, int | np.integer) or self.slices < 1:
+            raise SpecError(f"slices is {self.slices!r}; it must be a whole number of at least 1")
+        if not (math.isfinite(self.hfov_deg) and 0.0 < self.hfov_deg <= 360.0):
+            raise SpecError(f"hfov is {self.hfov_deg!r} degrees; it must lie in (0, 360]")
+        if self.projection == "pinhole" and self.hfov_deg >= 180.0:
+            raise SpecError(
+                f"hfov is {self.hfov_deg!r} degrees; a pinhole camera sees less than 180: "
+                "choose a smaller hfov, or the equirectangular projection"
+            )
+        object.__setattr__(self, "hfov_deg", float(self.hfov_deg))
+        object.__setattr__(self, "slices", int(self.slices))
+
+    def edge_offsets_deg(self) -> NDArray[np.float64]:
+        """Azimuths of the slice edges from the heading, degrees clockwise, float64 [N + 1].
+
+        Slice n lies between offsets n and n + 1. The offsets mirror each other exactly.
+        """
+        steps = 2.0 * np.arange(self.slices + 1) - self.slices  # -N, -N + 2, ..., N
+        if self.projection == "pinhole":
+            half_width = math.tan(math.radians(self.hfov_deg / 2.0))
+            return np.asarray(np.degrees(np.arctan(steps / self.slices * half_width)))
+        return np.asarray(steps * self.hfov_deg / (2.0 * self.slices))
+
+    def edges_deg(self, heading_deg: ArrayLike) -> NDArray[np.float64]:
+        """Azimuths of the slice edges of cameras, float64 [K, N + 1], ascending in a row.
+
+        Parameters
+        ----------
+        heading_deg : array [K]
+            Headings, degrees clockwise from north. The result is not wrapped to [0, 360).
+        """
+        heading = np.asarray(heading_deg, dtype=np.float64)
+        return np.asarray(heading[..., None] + self.edge_offsets_deg())

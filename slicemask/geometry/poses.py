@@ -1,0 +1,279 @@
+"""Candidate poses: regular grids, and lists read from files."""
+
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slicemask.errors import PoseError, SpecError
+
+Places = Literal["centres", "endpoints"]
+COLUMNS = ("u", "v", "heading_deg")
+
+
+@dataclass(frozen=True)
+class PoseGrid:
+    """A regular grid of poses: rows of v, columns of u, and headings.
+
+    Pose k = (row * columns + column) * headings + heading.
+
+    Parameters
+    ----------
+    rows, columns, headings : int
+        At least 1 each. Heading h is h * 360 / headings degrees.
+    extent : (u0, v0, u1, v1)
+        The part of the aerial frame that the places fill; the whole tile by default.
+    places : {"centres", "endpoints"}
+        Where places lie in the extent: at the centres of rows x columns equal parts, or spread
+        from end to end (a single row or column then lies in the middle).
+
+    Raises
+    ------
+    SpecError
+        If a value is out of its range.
+
+    Examples
+    --------
+    >>> grid = PoseGrid.parse("2x2x4")
+    >>> len(grid)
+    16
+    >>> grid.poses()[5].tolist()
+    [0.75, 0.25, 90.0]
+    """
+
+    rows: int
+    columns: int
+    headings: int
+    extent: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    places: Places = "centres"
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "columns", "headings"):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise SpecError(
+                    f"the grid's {name} is {value!r}; it must be a whole number of at least 1"
+                )
+            object.__setattr__(self, name, int(value))
+        object.__setattr__(self, "extent", tuple(float(edge) for edge in self.extent))
+        if len(self.extent) != 4:
+            raise SpecError(f"extent is {self.extent!r}; it must be four numbers u0, v0, u1, v1")
+        u0, v0, u1, v1 = self.extent
+        if not (0.0 <= u0 < u1 <= 1.0 and 0.0 <= v0 < v1 <= 1.0):
+            raise SpecError(
+                f"extent is {u0:g},{v0:g},{u1:g},{v1:g}; it must be u0,v0,u1,v1 with "
+                "0 <= u0 < u1 <= 1 and 0 <= v0 < v1 <= 1"
+            )
+        if self.places not in get_args(Places):
+            raise SpecError(
+                f"places is {self.places!r}; it must be one of {', '.join(get_args(Places))}"
+            )
+
+    @classmethod
+    def parse(
+        cls,
+        text: str,
+        extent: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0),
+        places: Places = "centres",
+    ) -> "PoseGrid":
+        """Read a grid from text such as ``21x21x64``: rows x columns x headings.
+
+        Raises
+        ------
+        SpecError
+            If the text is anything else.
+        """
+        match = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,9})x([0-9]{1,9})", text.strip().lower())
+        if match is None:
+            raise SpecError(
+                f"grid is {text!r}; it must be ROWSxCOLUMNSxHEADINGS, three whole numbers of at "
+                "least 1, such as 21x21x64"
+            )
+        rows, columns, headings = (int(part) for part in match.groups())
+        return cls(rows, columns, headings, extent=extent, places=places)
+
+    def __str__(self) -> str:
+        return f"{self.rows}x{self.columns}x{self.headings}"
+
+    def __len__(self) -> int:
+        return self.rows * self.columns * self.headings
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(rows, columns, headings): how scores of the K poses reshape."""
+        return self.rows, self.columns, self.headings
+
+    @property
+    def u(self) -> NDArray[np.float64]:
+        """Places' u of the columns, float64 [columns]."""
+        return self._along(self.extent[0], self.extent[2], self.columns)
+
+    @property
+    def v(self) -> NDArray[np.float64]:
+        """Places' v of the rows, float64 [rows]."""
+        return self._along(self.extent[1], self.extent[3], self.rows)
+
+    @property
+    def headings_deg(self) -> NDArray[np.float64]:
+        """Headings in degrees, float64 [headings]."""
+        return np.arange(self.headings) * 360.0 / self.headings
+
+    def _along(self, start: float, stop: float, count: int) -> NDArray[np.float64]:
+        if self.places == "endpoints" and count > 1:
+            return np.linspace(start, stop, count)
+        return start + (np.arange(count) + 0.5) / count * (stop - start)
+
+    def poses(self, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+        """Poses start..stop of the grid (all by default): float64 [K, 3] of u, v, heading_deg."""
+        k = np.arange(start, len(self) if stop is None else min(stop, len(self)))
+        place, heading = np.divmod(k, self.headings)
+        row, column = np.divmod(place, self.columns)
+        return np.stack([self.u[column], self.v[row], self.headings_deg[heading]], axis=1)
+
+    def index(self, row: int, column: int, heading: int) -> int:
+        """Pose index k of a row, column and heading.
+
+        Raises
+        ------
+        PoseError
+            If one of them is not in the grid.
+        """
+        asked = (row, column, heading)
+        if any(not 0 <= at < size for at, size in zip(asked, self.shape, strict=True)):
+            raise PoseError(
+                f"pose {row},{column},{heading} is not in the grid {self}; row, column and "
+                f"heading count from 0 to {self.rows - 1}, {self.columns - 1} and "
+                f"{self.headings - 1}"
+            )
+        return (row * self.columns + column) * self.headings + heading
+
+    def unravel(self, k: int) -> tuple[int, int, int]:
+        """Row, column and heading of pose index k, the inverse of `index`.
+
+        Raises
+        ------
+        PoseError
+            If k is not in the grid.
+        """
+        if not 0 <= k < len(self):
+            raise PoseError(f"pose {k} is not in the grid {self}; it holds 0 to {len(self) - 1}")
+        place, heading = divmod(k, self.headings)
+        return (*divmod(place, self.columns), heading)
+
+
+def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray[np.float64]:
+    """Return poses as float64 [K, 3], headings wrapped to [0, 360).
+
+    Parameters
+    ----------
+    poses : array [K, 3]
+        u, v in [0, 1] of the aerial frame and heading_deg, any finite angle.
+    names : iterator of str, optional
+        What to call each pose in an error ("line 7"); "pose k" by default.
+
+    Raises
+    ------
+    PoseError
+        If the shape is another, a value is not finite, or a place lies outside the tile; the
+        message names the first such pose.
+    """
+    try:
+        array = np.array(poses, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PoseError("poses must be numbers in an array [K, 3] of u, v, heading_deg") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise PoseError(
+            f"poses have shape {list(array.shape)}; they must be [K, 3]: u, v, heading_deg"
+        )
+    if len(array) == 0:
+        raise PoseError("there are no poses; at least one is needed")
+    finite: NDArray[np.bool_] = np.isfinite(array).all(axis=1)
+    inside = finite & ((array[:, :2] >= 0.0) & (array[:, :2] <= 1.0)).all(axis=1)
+    if not inside.all():
+        k = int(np.argmin(inside))
+        name = f"pose {k}" if names is None else next(islice(names, k, None))
+        u, v, heading = array[k]
+        fault = "lies outside the tile" if finite[k] else "is not finite"
+        raise PoseError(
+            f"{name} {fault}: u={u:g}, v={v:g}, heading_deg={heading:g}; u and v must lie in "
+            "[0, 1] and the heading must be a finite angle in degrees"
+        )
+    array[:, 2] %= 360.0
+    array[array[:, 2] == 360.0, 2] = 0.0  # a tiny negative heading wraps to 360 itself
+    return array
+
+
+def read_poses(path: str | Path) -> NDArray[np.float64]:
+    """Read poses from a file: float64 [K, 3] of u, v, heading_deg, checked by `check_poses`.
+
+    Parameters
+    ----------
+    path : path
+        ``.npy``: an array [K, 3]. Anything else: CSV with a header that names the columns u, v
+        and heading_deg, in any order; further columns are passed over.
+
+    Raises
+    ------
+    PoseError
+        If the file cannot be read as poses; the message names the file and the line.
+    """
+    path = Path(path)
+    try:
+        return _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
+    except FileNotFoundError:
+        raise PoseError(f"{path}: there is no such file; name a .csv or .npy file") from None
+    except OSError as error:
+        raise PoseError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError:
+        raise PoseError(f"{path}: is neither CSV text nor a .npy file") from None
+
+
+def _read_npy(path: Path) -> NDArray[np.float64]:
+    try:
+        with path.open("rb") as file:
+            array = np.load(file, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise PoseError(f"{path}: is not a plain .npy array of numbers") from error
+    try:
+        return check_poses(array, (f"row {k}" for k in range(len(array)) if array.ndim == 2))
+    except PoseError as error:
+        raise PoseError(f"{path}: {error}") from None
+
+
+def _read_csv(path: Path) -> NDArray[np.float64]:
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        reader = csv.reader(file)
+        try:
+            header = [name.strip() for name in next(reader, [])]
+            missing = [name for name in COLUMNS if name not in header]
+            if missing:
+                raise PoseError(
+                    f"{path}: line 1: column {', '.join(missing)} is missing; the header must "
+                    f"name {', '.join(COLUMNS)}, and it reads {','.join(header)!r}"
+                )
+            columns = [header.index(name) for name in COLUMNS]
+            for row in reader:
+                if not row:
+                    continue
+                try:
+                    rows.append([float(row[column]) for column in columns])
+                except (ValueError, IndexError):
+                    raise PoseError(
+                        f"{path}: line {reader.line_num}: {','.join(row)!r} does not give "
+                        "three numbers u, v, heading_deg"
+                    ) from None
+                lines.append(reader.line_num)
+        except csv.Error as error:
+            raise PoseError(f"{path}: line {reader.line_num}: {error}") from None
+    try:
+        return check_poses(np.array(rows).reshape(-1, 3), (f"line {line}" for line in lines))
+    except PoseError as error:
+        raise PoseError(f"{path}: {error}") from None
