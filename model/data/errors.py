@@ -1,0 +1,28 @@
+"""The errors of the data loaders."""
+
+from slicemask.errors import SlicemaskError
+
+
+class DataError(SlicemaskError):
+    """Base of the loaders' errors; its text stays one sentence across processes.
+
+    A torch loader raises a worker's error anew in the main process, with the worker's whole
+    traceback for a text. Its last line, ``module.Class: sentence``, is what there is to read.
+    """
+
+    def __init__(self, message: str):
+        if message.startswith("Caught ") and "\n" in message:
+            message = message.rstrip().rsplit("\n", 1)[1].split(": ", 1)[1]
+        super().__init__(message)
+
+
+class DatasetError(DataError, ValueError):
+    """A data tree, a label file or a data setting that cannot be used."""
+
+
+class SampleError(DataError, OSError):
+    """One sample that cannot be used, because a file of it is missing or broken."""
+
+
+class ImageError(SampleError):
+    """An image that is missing, corrupt, cut short, too large or of the wrong shape."""

@@ -1,0 +1,312 @@
+"""What the data sets share: settings, seeded draws, and what becomes of a sample that is broken."""
+
+import json
+import logging
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset, default_collate
+
+from model.data.errors import DatasetError, SampleError
+
+PARTS = ("train", "validation", "test")
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataConfig:
+    """Settings that both data sets know.
+
+    Parameters
+    ----------
+    root : path
+        The folder of the data tree.
+    heading_prior_deg : float or None
+        How far the heading may lie from the one the data set holds to, to either side: 0 is a
+        known heading ("aligned"), None (the default) one wholly unknown. From 0 to 180.
+    ground_size : (height, width)
+        Of the ground image as returned, in pixels.
+    aerial_size : int
+        Side of the aerial image as returned, in pixels.
+    validation_fraction : float
+        The share of the training file that is set aside for validation, since neither data set
+        has a file for it; 0 trains on everything and leaves no validation part. Ours: 0.1.
+    seed : int
+        Of the validation part and of every heading, shift and turn that is drawn.
+
+    Raises
+    ------
+    DatasetError
+        If a value is out of its range.
+    """
+
+    root: str | Path
+    heading_prior_deg: float | None = None
+    ground_size: tuple[int, int]
+    aerial_size: int = 512
+    validation_fraction: float = 0.1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ground_size", tuple(self.ground_size))
+        size = self.ground_size
+        prior = self.heading_prior_deg
+        fraction = self.validation_fraction
+        wanted = {
+            "heading_prior_deg": (
+                prior is None or (isinstance(prior, int | float) and 0 <= prior <= 180),
+                "None or a number from 0 to 180",
+            ),
+            "ground_size": (
+                len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size),
+                "(height, width), two whole numbers of at least 1",
+            ),
+            "aerial_size": (
+                isinstance(self.aerial_size, int) and self.aerial_size > 0,
+                "a whole number of at least 1",
+            ),
+            "validation_fraction": (
+                isinstance(fraction, int | float) and 0 <= fraction < 1,
+                "a number of at least 0 and below 1",
+            ),
+            "seed": (isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0 up"),
+        }
+        for name, (holds, expected) in wanted.items():
+            if not holds:
+                raise DatasetError(f"{name} is {getattr(self, name)!r}; it must be {expected}")
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Self:
+        """Make settings from a mapping, as read from a file, and refuse keys that are none.
+
+        Raises
+        ------
+        DatasetError
+            If a key is unknown or a value out of its range.
+        """
+        known = [field.name for field in fields(cls)]
+        if unknown := sorted(set(settings) - set(known)):
+            raise DatasetError(
+                f"data setting {unknown[0]!r} is unknown; it must be one of {', '.join(known)}"
+            )
+        return cls(**settings)
+
+
+class BadSamples:
+    """The samples of one run that could not be read, written down as they are met.
+
+    A line of JSON per sample goes to a file at once, from whichever worker process meets it, so
+    that nothing is lost if the run ends early. A new instance begins the list anew.
+
+    Parameters
+    ----------
+    path : path
+        The file, for instance ``bad_samples.jsonl`` in the run folder.
+    limit : int
+        How many different bad samples to bear before the data set itself is held to be broken.
+    """
+
+    def __init__(self, path: str | Path, limit: int = 10):
+        self.path = Path(path)
+        self.limit = limit
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.path.write_text("", encoding="utf-8")
+
+    def record(self, name: str, error: SampleError) -> None:
+        """Write a bad sample down, once however often it is met.
+
+        Raises
+        ------
+        DatasetError
+            If there are now more than `limit` of them.
+        """
+        if name not in self.entries():
+            log.warning("sample %s is left out: %s", name, error)
+            # One short write in append mode: lines of several processes do not mix.
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"name": name, "error": str(error)}) + "\n")
+        if len(self.entries()) > self.limit:
+            raise DatasetError(
+                f"more than {self.limit} samples cannot be read, listed in {self.path}; mend them "
+                f"or raise the limit; the last one: {error}"
+            )
+
+    def entries(self) -> dict[str, str]:
+        """Sample name to what is wrong with it, in the order met."""
+        lines = self.path.read_text(encoding="utf-8").splitlines()
+        return {entry["name"]: entry["error"] for entry in map(json.loads, lines)}
+
+    def report(self) -> str:
+        """One sentence for the end of an epoch; empty if every sample was read."""
+        entries = self.entries()
+        if not entries:
+            return ""
+        first = next(iter(entries.values()))
+        return f"{len(entries)} samples could not be read, listed in {self.path}; first: {first}"
+
+
+class PoseDataset(Dataset):
+    """Ground and aerial images with the pose of the one in the other.
+
+    An item is a dict:
+
+    - ``ground``: float32 [3, Hg, Wg], ImageNet-normalised;
+    - ``aerial``: float32 [3, A, A], ImageNet-normalised;
+    - ``pose``: float64 [3], the true (u, v, heading_deg), exact and unrounded;
+    - ``metres_per_pixel``: float, of the A-pixel aerial image as returned;
+    - ``name``: str, unique in the data set; ``index``: int.
+
+    What is random is drawn from (seed, epoch, sample name) alone: the same in any order, worker
+    process or selection of samples, and after a resume. Training draws anew in every epoch; call
+    `set_epoch` before an epoch's iterator is made. Validation and test draw once and for all.
+
+    A sample that cannot be read raises `SampleError`, unless the data set was given a `BadSamples`:
+    then it is written down there and, in training, the next readable sample stands in, so that
+    batches stay whole; in validation and test, where a stand-in would count twice, the item is
+    None, which `collate` drops.
+
+    Attributes
+    ----------
+    names : list of str
+        One a sample.
+    projection : {"equirectangular", "pinhole"}
+        Of the ground images.
+    hfov_deg : float
+        Horizontal field of view of the ground images.
+    aerial_size : int
+        A, in pixels.
+    heading_prior_deg : (centre, range) or None
+        Headings lie within `range` degrees of `centre`; None if they may be any.
+    tile_metres : float64 [n]
+        Side of each aerial image on the ground, in metres.
+    """
+
+    projection: ClassVar[str]
+    # The heading that a prior is centred on, degrees clockwise from north.
+    prior_centre_deg: ClassVar[float]
+
+    def __init__(
+        self, config: DataConfig, part: str = "train", bad_samples: BadSamples | None = None
+    ):
+        if part not in PARTS:
+            raise DatasetError(f"part is {part!r}; it must be one of {', '.join(PARTS)}")
+        self.config = config
+        self.part = part
+        self.bad_samples = bad_samples
+        self.aerial_size = config.aerial_size
+        self.names: list[str] = []
+        self.tile_metres = np.empty(0)
+        prior = config.heading_prior_deg
+        unknown = prior is None or prior == 180
+        self.heading_prior_deg = None if unknown else (self.prior_centre_deg, float(prior))
+        # In shared memory: workers that live on from epoch to epoch see the change.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+
+    def set_epoch(self, epoch: int) -> None:
+        """Let training draw for this epoch; call it before the epoch's iterator is made."""
+        self._epoch.fill_(epoch)
+
+    def pose(self, index: int) -> np.ndarray:
+        """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
+        raise NotImplementedError
+
+    def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample.
+
+        Raises
+        ------
+        SampleError
+            If a file of the sample cannot be used.
+        """
+        raise NotImplementedError
+
+    def poses(self) -> np.ndarray:
+        """All true poses, float64 [n, 3]; those of the epoch that was set, in training."""
+        return np.array([self.pose(index) for index in range(len(self))]).reshape(-1, 3)
+
+    def count_outside(self, extent: tuple[float, float, float, float]) -> int:
+        """How many true places lie outside (u0, v0, u1, v1), where no candidate can find them.
+
+        The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is inside.
+        """
+        u0, v0, u1, v1 = extent
+        u, v, _ = self.poses().T
+        return int(np.count_nonzero((u < u0) | (u > u1) | (v < v0) | (v > v1)))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, index: int) -> dict[str, Any] | None:
+        training = self.part == "train"
+        for step in range(len(self) if training else 1):
+            at = (index + step) % len(self)
+            try:
+                ground, aerial = self.load(at)
+            except SampleError as error:
+                if self.bad_samples is None:
+                    raise
+                self.bad_samples.record(self.names[at], error)
+                continue
+            return {
+                "ground": ground,
+                "aerial": aerial,
+                "pose": torch.from_numpy(self.pose(at)),
+                "metres_per_pixel": float(self.tile_metres[at] / self.aerial_size),
+                "name": self.names[at],
+                "index": at,
+            }
+        if training:
+            raise DatasetError(
+                f"none of the {len(self)} samples can be read; see {self.bad_samples.path}"
+            )
+        return None
+
+    def _random(self, index: int) -> np.random.Generator:
+        """Random numbers of one sample, in training of one sample in one epoch."""
+        epoch = int(self._epoch) + 1 if self.part == "train" else 0
+        return np.random.default_rng(
+            [self.config.seed, epoch, zlib.crc32(self.names[index].encode())]
+        )
+
+    def _choose_part(self, count: int) -> np.ndarray:
+        """Which of the training file's `count` samples this part takes: sorted indices."""
+        order = np.random.default_rng(self.config.seed).permutation(count)
+        held_out = round(count * self.config.validation_fraction)
+        return np.sort(order[:held_out] if self.part == "validation" else order[held_out:])
+
+    def _check_not_empty(self) -> None:
+        if not self.names:
+            raise DatasetError(
+                f"the {self.part} part of {self.config.root} holds no sample; check the split, the "
+                f"cities and validation_fraction, which is {self.config.validation_fraction:g}"
+            )
+
+
+def collate(samples: list[dict[str, Any] | None]) -> dict[str, Any] | None:
+    """Stack samples into a batch, leaving out those that could not be read; None if all were."""
+    read = [sample for sample in samples if sample is not None]
+    return default_collate(read) if read else None
+
+
+def read_lines(path: Path, what: str, hint: str) -> list[str]:
+    """Read the lines of a label file; the last one may lack its newline.
+
+    Raises
+    ------
+    DatasetError
+        If the file is missing, empty or no text; `what` it is and a `hint` go into the text.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: {what} is missing; {hint}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: {what} cannot be read as text ({error})") from error
+    if not text.strip():
+        raise DatasetError(f"{path}: {what} is empty; fetch it anew")
+    return text.rstrip("\n").split("\n")
