@@ -193,7 +193,7 @@ def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray
         )
     if len(array) == 0:
         raise PoseError("there are no poses; at least one is needed")
-    finite: NDArray[np.bool_] = np.isfinite(array).all(axis=1)
+    finite = np.asarray(np.isfinite(array).all(axis=1))
     inside = finite & ((array[:, :2] >= 0.0) & (array[:, :2] <= 1.0)).all(axis=1)
     if not inside.all():
         k = int(np.argmin(inside))

@@ -1,0 +1,1 @@
+"""Banks: the distinct slice masks of many poses, in one HDF5 file."""

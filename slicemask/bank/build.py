@@ -1,0 +1,321 @@
+"""Building a bank: distinct slices of each batch, their masks, and the rows of the file."""
+
+import os
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import filelock
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import slicemask
+from slicemask.bank.batches import Batch, GridSource, ListSource, PoseSource, batches
+from slicemask.bank.cache import bank_path
+from slicemask.bank.read import open_bank
+from slicemask.bank.seal import has_seal
+from slicemask.bank.spec import BankSpec, PoseDigest
+from slicemask.bank.write import BankWriter
+from slicemask.errors import BankError, BankExistsError, BankFormatError, SpecError
+from slicemask.geometry.distinct import (
+    Images,
+    Loose,
+    distinct_loose,
+    distinct_slices,
+)
+from slicemask.geometry.frustum import Frustum
+from slicemask.geometry.masks import NEGLIGIBLE, Engine, engine_fractions
+from slicemask.geometry.poses import PoseGrid, check_poses
+from slicemask.geometry.symmetry import SYMMETRIES
+
+# Mask values that a batch may hold as dense arrays, and slices it may have: what bounds memory.
+_DENSE_VALUES = 1 << 20
+_BATCH_VALUES = 1 << 26
+_BATCH_SLICES = 1 << 16
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class BuildResult:
+    """What `build_bank` did.
+
+    Parameters
+    ----------
+    path : Path
+        The bank.
+    reused : bool
+        Whether it was there already and matched, so that nothing was computed.
+    """
+
+    path: Path
+    reused: bool
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """CSR rows: nonzeros of each row, their cells, and the fractions."""
+
+    counts: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    data: NDArray[np.float32]
+
+
+def build_bank(
+    poses: PoseGrid | ArrayLike,
+    frustum: Frustum | None = None,
+    cells: int = 32,
+    *,
+    engine: Engine = "shapely",
+    out: str | Path | None = None,
+    cache: str | Path | None = None,
+    force: bool = False,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Build the bank of poses' slice masks, or find it built.
+
+    Memory is bounded: masks are streamed to the file, and of each pose of a list only some 50
+    bytes are held. The same arguments and versions give the same bytes, whatever ``jobs`` is.
+
+    Parameters
+    ----------
+    poses : PoseGrid or array [K, 3]
+        The candidates: a grid, or u, v, heading_deg in the aerial frame.
+    frustum : Frustum, optional
+        Field of view and slices; 360 degrees in 16 slices by default.
+    cells : int
+        L, the cells along each side of the tile.
+    engine : {"shapely", "rays"}
+        What computes the masks.
+    out : path, optional
+        Where the bank goes. By default, a name that says what it holds, in the cache folder.
+    cache : path, optional
+        The cache folder; SLICEMASK_CACHE or ``./masks_cache`` by default.
+    force : bool
+        Build even if a bank is there, and replace it. A file that is no bank is never replaced.
+    jobs : int, optional
+        Threads; as many as there are processors by default.
+    progress : callable, optional
+        Called with (poses done, poses in all) as the work goes on.
+
+    Returns
+    -------
+    result : BuildResult
+        The path, and whether a matching bank was there already.
+
+    Raises
+    ------
+    SpecError, PoseError
+        If the arguments cannot be.
+    BankExistsError
+        If the output exists and holds something else.
+    BankError
+        If the bank cannot be written; nothing is left behind.
+    """
+    frustum = frustum or Frustum()
+    jobs = _check_jobs(jobs)
+    source: PoseSource
+    if isinstance(poses, PoseGrid):
+        spec = BankSpec(poses, frustum, cells, engine, versions=_versions(engine))
+        source = GridSource(poses)
+    else:
+        checked = check_poses(poses)
+        spec = BankSpec(PoseDigest.of(checked), frustum, cells, engine, versions=_versions(engine))
+        source = ListSource(checked)
+    path = bank_path(spec, out, cache)
+    try:
+        # One builder a bank: a second one waits here, and then finds the bank.
+        lock = path.with_name(f".{path.name}.lock")
+        with filelock.FileLock(lock):
+            try:
+                if path.exists() and _reusable(path, spec, force):
+                    return BuildResult(path, reused=True)
+                _build(path, spec, source, jobs, progress)
+            finally:
+                lock.unlink(missing_ok=True)
+    except BankError:
+        raise
+    except (OSError, RuntimeError) as error:  # h5py raises both
+        raise BankError(f"{path}: cannot be written: {_reason(error)}") from error
+    return BuildResult(path, reused=False)
+
+
+def _check_jobs(jobs: int | None) -> int:
+    if jobs is None:
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else (os.cpu_count() or 1)
+        )
+    if not isinstance(jobs, int) or jobs < 1:
+        raise SpecError(f"jobs is {jobs!r}; it must be a whole number of at least 1")
+    return jobs
+
+
+def _versions(engine: Engine) -> dict[str, str]:
+    versions = {
+        "slicemask": slicemask.__version__,
+        "numpy": np.__version__,
+        "h5py": h5py.__version__,
+        "hdf5": h5py.version.hdf5_version,
+    }
+    if engine == "shapely":
+        import shapely
+
+        versions |= {"shapely": shapely.__version__, "geos": shapely.geos_version_string}
+    return versions
+
+
+def _reusable(path: Path, spec: BankSpec, force: bool) -> bool:
+    """Whether the file in the way is the bank asked for; an error if it may not be replaced."""
+    if path.is_dir():
+        raise BankExistsError(f"{path}: is a folder; name a file with --out")
+    try:
+        with open_bank(path) as bank:
+            found = bank.spec
+    except BankFormatError as error:
+        if not has_seal(path):
+            raise BankExistsError(
+                f"{path}: exists and is no slicemask bank, so it is not replaced; move it away "
+                "or name another file with --out"
+            ) from error
+        if force:
+            return False
+        raise
+    if force:
+        return False
+    if found != spec:
+        raise BankExistsError(
+            f"{path}: holds another bank ({found.summary()}) than the one asked for "
+            f"({spec.summary()}); name another file with --out, or replace it with --force"
+        )
+    return True
+
+
+def _build(
+    path: Path, spec: BankSpec, source: PoseSource, jobs: int, progress: Progress | None
+) -> None:
+    total, slices = len(spec.poses), spec.frustum.slices
+    most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
+    work = batches(source, max(1, most // slices))
+    done = 0
+    with (
+        BankWriter(path, spec) as writer,
+        # The index is filled in batch by batch, out of order. A nameless file holds it: it is
+        # gone with the process, and the system can page it out.
+        tempfile.TemporaryFile(dir=path.parent) as scratch,
+    ):
+        scratch.truncate(total * slices * 4)
+        index = np.memmap(scratch, dtype=np.int32, mode="r+", shape=(total, slices))
+        loose: list[Loose] = []
+        loose_at: list[NDArray[np.int64]] = []
+        found = 0
+        for batch, number, free, rows in _in_order(work, spec, jobs):
+            first = _write_rows(writer, rows)
+            placed = np.where(number >= 0, first + number, number)
+            if len(free.shape):
+                where = np.nonzero(number < 0)
+                loose_at.append(batch.pose[where[0]] * slices + where[1])
+                placed[where] += -found  # -1 - an index among all loose slices
+                loose.append(free)
+                found += len(free.shape)
+            index[batch.pose] = placed
+            done += len(batch.pose)
+            if progress:
+                progress(done, total)
+        if found:
+            images, row = distinct_loose(_joined(loose))
+            first = _write_rows(writer, _mask_rows(images, spec))
+            at = np.concatenate(loose_at)
+            flat = index.reshape(-1)
+            flat[at] = first + row[-1 - flat[at]]
+        writer.finish(index, source.pieces())
+
+
+def _write_rows(writer: BankWriter, rows: Iterator[_Rows] | list[_Rows]) -> int:
+    first = writer.rows
+    for some in rows:
+        writer.add_rows(some.counts, some.indices, some.data)
+    return first
+
+
+def _joined(loose: list[Loose]) -> Loose:
+    return Loose(
+        np.concatenate([some.shape for some in loose]),
+        np.concatenate([some.left_deg for some in loose]),
+        np.concatenate([some.offset for some in loose]),
+    )
+
+
+_Done = tuple[Batch, NDArray[np.int64], Loose, list[_Rows]]
+
+
+def _in_order(work: Iterator[Batch], spec: BankSpec, jobs: int) -> Iterator[_Done]:
+    """Compute batches on threads, and yield them in order with few waiting."""
+
+    def compute(batch: Batch) -> _Done:
+        distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, spec.frustum)
+        return batch, distinct.slice_of, distinct.loose, list(_mask_rows(distinct.wedges, spec))
+
+    # NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        waiting: deque[Future[_Done]] = deque()
+        for batch in work:
+            waiting.append(pool.submit(compute, batch))
+            if len(waiting) > jobs:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _mask_rows(images: Images, spec: BankSpec) -> Iterator[_Rows]:
+    """CSR rows of slices that are images of sectors, in the slices' order, in pieces."""
+    cells = spec.cells
+    fractions = _sector_masks(images, spec)
+    step = max(1, _DENSE_VALUES // cells**2)
+    for start in range(0, len(images.sector), step):
+        sector = images.sector[start : start + step]
+        symmetry = images.symmetry[start : start + step]
+        dense = np.empty((len(sector), cells, cells), dtype=np.float32)
+        for number in np.unique(symmetry):
+            some = symmetry == number
+            dense[some] = SYMMETRIES[number].masks(fractions[sector[some]])
+        flat = dense.reshape(len(sector), -1)
+        row, cell = np.nonzero(flat)
+        yield _Rows(np.bincount(row, minlength=len(sector)), cell.astype(np.int32), flat[row, cell])
+
+
+def _sector_masks(images: Images, spec: BankSpec) -> NDArray[np.float32]:
+    """Masks of the sectors, float32 [R, L, L], without rounding noise."""
+    cells = spec.cells
+    masks = np.zeros((len(images.u), cells, cells), dtype=np.float32)
+    width_deg = images.right_deg - images.left_deg
+    masks[width_deg == 360.0] = 1.0
+    engine = engine_fractions(spec.engine)
+    partial = np.flatnonzero((width_deg > 0.0) & (width_deg < 360.0))
+    step = max(1, _DENSE_VALUES // cells**2)
+    for start in range(0, len(partial), step):
+        some = partial[start : start + step]
+        fractions = engine(
+            images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
+        )
+        masks[some] = np.where(fractions < NEGLIGIBLE, 0.0, np.minimum(fractions, 1.0))
+    return masks
+
+
+def _reason(error: BaseException) -> str:
+    """The system's own words for an error, which HDF5 buries in its message."""
+    number = getattr(error, "errno", None)
+    if number is None:
+        for code in (28, 27, 13, 30, 122):  # no space, file too large, permission, read-only, quota
+            if f"errno = {code}" in str(error):
+                number = code
+    return os.strerror(number) if number else str(error)

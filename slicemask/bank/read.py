@@ -1,0 +1,276 @@
+"""Reading a bank: whole as one CSR matrix, or pose by pose."""
+
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slicemask.bank.seal import VERSION, check_seal
+from slicemask.bank.spec import BankSpec
+from slicemask.bank.write import FORMAT
+from slicemask.errors import BankError, BankFormatError, PoseError
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+_MASK_OBJECTS: dict[str, type] = {"data": np.float32, "indices": np.int32, "indptr": np.int64}
+
+
+class Bank:
+    """An open bank; see `open_bank`. Usable in a ``with`` statement, which closes it.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    spec : BankSpec
+        What the bank holds: poses (grid or digest), frustum, cells, engine, versions.
+    rows : int
+        M, the number of distinct masks.
+    nonzeros : int
+        Stored cell fractions, of all rows.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._file = h5py.File(path, "r", locking=False)
+        try:
+            self.spec = self._read_spec()
+            self._check_objects()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> "Bank":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """K, the number of poses."""
+        return len(self.spec.poses)
+
+    def __repr__(self) -> str:
+        return f"<Bank {self.path.name}: {self.spec.summary()}; {self.rows} distinct masks>"
+
+    def close(self) -> None:
+        """Close the file; arrays already read stay valid."""
+        self._file.close()
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """The poses, float64 [K, 3]: u, v, heading_deg. Read on first use and kept."""
+        return self._read("poses")
+
+    @cached_property
+    def index(self) -> NDArray[Any]:
+        """Row of the distinct masks for each pose and slice, int32 [K, N]. Read once and kept."""
+        index = self._read("index")
+        if index.size and not 0 <= int(index.min()) <= int(index.max()) < self.rows:
+            raise self._fault("/index", f"rows from 0 to {self.rows - 1}", "others")
+        return index
+
+    def csr(self) -> "csr_matrix":
+        """The distinct masks, float32 SciPy CSR [M, L * L]; cell (i, j) is column i * L + j.
+
+        Reads all rows. Indices are int32 if they fit, as SciPy likes.
+        """
+        from scipy.sparse import csr_matrix
+
+        data, indices, indptr = (self._read(f"masks/{name}") for name in _MASK_OBJECTS)
+        self._check_rows(indices, indptr, 0)
+        matrix = csr_matrix((data, indices, indptr), shape=(self.rows, self.spec.cells**2))
+        matrix.has_sorted_indices = True
+        return matrix
+
+    def masks(self, pose: int | ArrayLike) -> NDArray[np.float32]:
+        """Masks of one pose, float32 [N, L, L], or of several, [..., N, L, L].
+
+        Reads only the stored chunks that hold these poses' rows.
+
+        Parameters
+        ----------
+        pose : int or integers [...]
+            Pose indices, 0 to K - 1.
+
+        Raises
+        ------
+        PoseError
+            If an index is out of that range or no whole number.
+        """
+        asked = np.asarray(pose)
+        if asked.size and not np.issubdtype(asked.dtype, np.integer):
+            raise PoseError(f"pose index {pose!r} is no whole number")
+        outside = asked[(asked < 0) | (asked >= len(self))]
+        if outside.size:
+            raise PoseError(
+                f"pose {outside.flat[0]} is not in the bank; it holds 0 to {len(self) - 1}"
+            )
+        wanted = [self._index_of(int(k)) for k in asked.flat]
+        rows, place = np.unique(np.array(wanted, dtype=np.int64), return_inverse=True)
+        cells = self.spec.cells
+        dense = np.zeros((len(rows), cells * cells), dtype=np.float32)
+        # Runs of consecutive rows are read together.
+        for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1) + 1):
+            if len(run):
+                self._fill(dense[run[0] : run[-1] + 1], int(rows[run[0]]))
+        return dense[place.ravel()].reshape(*asked.shape, self.spec.frustum.slices, cells, cells)
+
+    def _index_of(self, pose: int) -> NDArray[Any]:
+        if "index" in self.__dict__:
+            return np.asarray(self.index[pose])
+        row = self._read("index", slice(pose, pose + 1))[0]
+        if not 0 <= int(row.min()) <= int(row.max()) < self.rows:
+            raise self._fault("/index", f"rows from 0 to {self.rows - 1}", "others")
+        return np.asarray(row)
+
+    def _fill(self, dense: NDArray[np.float32], first: int) -> None:
+        """Read rows first, first + 1, ... into dense [r, L * L]."""
+        indptr = self._read("masks/indptr", slice(first, first + len(dense) + 1))
+        stored = slice(int(indptr[0]), int(indptr[-1]))
+        if not 0 <= stored.start <= stored.stop <= self.nonzeros:
+            raise self._fault("/masks/indptr", "row starts in order", "others")
+        indices = self._read("masks/indices", stored)
+        self._check_rows(indices, indptr, stored.start)
+        row = np.repeat(np.arange(len(dense)), np.diff(indptr))
+        dense[row, indices] = self._read("masks/data", stored)
+
+    def _read(self, name: str, some: slice = slice(None)) -> NDArray[Any]:
+        try:
+            return np.asarray(self._file[name][some])
+        except (OSError, RuntimeError, KeyError) as error:
+            raise BankFormatError(f"{self.path}: /{name} cannot be read: {error}") from error
+
+    def _fault(self, name: str, expected: str, found: str) -> BankFormatError:
+        return BankFormatError(f"{self.path}: {name}: expected {expected}, found {found}")
+
+    def _read_spec(self) -> BankSpec:
+        attributes = self._file.attrs
+        for name, expected in (("format", FORMAT), ("version", VERSION)):
+            found = attributes.get(name)
+            if not np.isscalar(found) or found != expected:
+                raise self._fault(f"attribute {name}", repr(expected), repr(found))
+        spec = attributes.get("spec")
+        if not isinstance(spec, str):
+            raise self._fault("attribute spec", "JSON text", repr(spec))
+        try:
+            return BankSpec.from_json(spec)
+        except (BankFormatError, ValueError) as error:
+            raise BankFormatError(f"{self.path}: {error}") from error
+
+    def _check_objects(self) -> None:
+        """Check every object's type and size, and that its data is there, reading none of it."""
+        cells, slices = self.spec.cells, self.spec.frustum.slices
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "index": (len(self), slices),
+            "poses": (len(self), 3),
+            "masks/indptr": (None,),
+            "masks/indices": (None,),
+            "masks/data": (None,),
+        }
+        dtypes: dict[str, type] = {"index": np.int32, "poses": np.float64}
+        dtypes.update((f"masks/{name}", dtype) for name, dtype in _MASK_OBJECTS.items())
+        for name, shape in shapes.items():
+            dataset = self._file.get(name)
+            if not isinstance(dataset, h5py.Dataset):
+                raise self._fault(f"/{name}", "a dataset", "none")
+            wrong = dataset.ndim != len(shape) or any(
+                size not in (None, found) for size, found in zip(shape, dataset.shape, strict=False)
+            )
+            if wrong or dataset.dtype != dtypes[name]:
+                expected = ", ".join("any" if size is None else str(size) for size in shape)
+                raise self._fault(
+                    f"/{name}",
+                    f"{np.dtype(dtypes[name])} [{expected}]",
+                    f"{dataset.dtype} {list(dataset.shape)}",
+                )
+            # A dataset may declare more than the file holds; reading it would ask for that much
+            # memory and give zeros.
+            chunks = dataset.chunks and int(
+                np.prod([-(-n // c) for n, c in zip(dataset.shape, dataset.chunks, strict=True)])
+            )
+            stored = dataset.chunks and dataset.id.get_num_chunks()
+            if chunks != stored or dataset.external or dataset.is_virtual:
+                raise self._fault(f"/{name}", f"{chunks} stored chunks", str(stored))
+        self.rows = len(self._file["masks/indptr"]) - 1
+        self.nonzeros = len(self._file["masks/data"])
+        declared = self._file["masks"].attrs.get("shape")
+        if np.shape(declared) != (2,) or list(declared) != [self.rows, cells * cells]:
+            raise self._fault(
+                "/masks attribute shape", str([self.rows, cells * cells]), repr(declared)
+            )
+        if len(self._file["masks/indices"]) != self.nonzeros:
+            raise self._fault(
+                "/masks/indices", f"{self.nonzeros} values", str(len(self._file["masks/indices"]))
+            )
+        ends = self._read("masks/indptr", slice(0, 1)), self._read("masks/indptr", slice(-1, None))
+        if self.rows < 1 or ends[0] != 0 or ends[1] != self.nonzeros:
+            raise self._fault("/masks/indptr", f"0 to {self.nonzeros}", "others")
+
+    def _check_rows(
+        self, indices: NDArray[np.int32], indptr: NDArray[np.int64], start: int
+    ) -> None:
+        """Check that rows' starts are in order and their cells in the tile and ascending."""
+        if (np.diff(indptr) < 0).any() or int(indptr[-1]) - start != len(indices):
+            raise self._fault("/masks/indptr", "row starts in order", "others")
+        if len(indices) == 0:
+            return
+        ascending = np.diff(indices) > 0
+        row_starts = indptr[1:-1] - start
+        ascending[row_starts[(row_starts > 0) & (row_starts < len(indices))] - 1] = True
+        if not ascending.all() or not 0 <= int(indices.min()) <= int(indices.max()) < (
+            self.spec.cells**2
+        ):
+            raise self._fault(
+                "/masks/indices", f"cells 0 to {self.spec.cells**2 - 1}, ascending", "others"
+            )
+
+
+def open_bank(path: str | Path, check: bool = True) -> Bank:
+    """Open a bank for reading.
+
+    Parameters
+    ----------
+    path : path
+        A file written by `build_bank` or ``slicemask build``.
+    check : bool
+        Compare the file with its seal (SHA-256) first, so that a bank altered in any byte is
+        refused. It reads the file once, about 1 GB a second; False leaves it to HDF5's own
+        checksums, for large banks that are opened often.
+
+    Returns
+    -------
+    bank : Bank
+        Nothing but the spec is read yet.
+
+    Raises
+    ------
+    BankFormatError
+        If the file is no bank, cut short, altered, of another version, or its objects do not
+        fit its spec; the message names the file, the object, what was expected and found.
+    BankError
+        If it cannot be read at all.
+    """
+    path = Path(path)
+    try:
+        if check:
+            check_seal(path)
+        return Bank(path)
+    except FileNotFoundError:
+        raise BankError(f"{path}: there is no such bank") from None
+    except IsADirectoryError:
+        raise BankError(f"{path}: is a folder; name a bank in it") from None
+    except BankError:
+        raise
+    except (OSError, RuntimeError) as error:
+        raise BankError(f"{path}: cannot be opened: {error}") from error

@@ -1,0 +1,93 @@
+"""The seal: the first 512 bytes of a bank, which vouch for all the others.
+
+HDF5 lets a file begin with a block of its user's own. A bank's holds three lines of text (format
+and version, size, SHA-256 of everything after the block) padded with zeros. A reader checks it
+before HDF5 parses a single byte, so a bank that was cut short or altered anywhere is refused
+rather than misread, and a hostile file cannot reach the HDF5 library by way of a bank's name.
+"""
+
+import hashlib
+import re
+from pathlib import Path
+
+from slicemask.errors import BankFormatError
+
+SEAL_BYTES = 512
+VERSION = 1
+
+_MAGIC = b"slicemask-bank "
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_PATTERN = re.compile(
+    rb"slicemask-bank ([0-9]{1,9})\nbytes ([0-9]{1,18})\nsha256 ([0-9a-f]{64})\n\0*"
+)
+
+
+def write_seal(path: Path) -> None:
+    """Seal a finished file in place: fill its first 512 bytes in."""
+    with path.open("r+b") as file:
+        file.seek(SEAL_BYTES)
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        size = file.tell()
+        text = f"slicemask-bank {VERSION}\nbytes {size}\nsha256 {digest}\n"
+        file.seek(0)
+        file.write(text.encode().ljust(SEAL_BYTES, b"\0"))
+
+
+def has_seal(path: Path) -> bool:
+    """Whether a file begins as a bank does, sound or not."""
+    with path.open("rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
+
+
+def check_seal(path: Path) -> None:
+    """Check that a file is a bank of this version and is as it was written.
+
+    Reads the whole file once, in small pieces.
+
+    Raises
+    ------
+    BankFormatError
+        If it is no bank, a bank of another version, cut short or altered.
+    OSError
+        If it cannot be read.
+    """
+    with path.open("rb") as file:
+        block = file.read(SEAL_BYTES)
+        match = _PATTERN.fullmatch(block)
+        if match is None or len(block) < SEAL_BYTES:
+            raise BankFormatError(f"{path}: {_fault(block)}")
+        version, size, expected = int(match[1]), int(match[2]), match[3].decode()
+        if version != VERSION:
+            raise BankFormatError(
+                f"{path}: is a bank of version {version}, and this slicemask reads version "
+                f"{VERSION}: read it with the slicemask that wrote it, or build it again"
+            )
+        file.seek(0, 2)
+        if file.tell() != size:
+            raise BankFormatError(
+                f"{path}: is {'cut short' if file.tell() < size else 'altered'}: expected "
+                f"{size} bytes, found {file.tell()}; build it again with --force"
+            )
+        file.seek(SEAL_BYTES)
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest != expected:
+        raise BankFormatError(
+            f"{path}: was altered after it was written: expected SHA-256 {expected[:12]}..., "
+            f"found {digest[:12]}...; build it again with --force"
+        )
+
+
+def _fault(block: bytes) -> str:
+    """What is wrong with a first block that is no seal."""
+    if not block:
+        return "is empty, not a slicemask bank"
+    if block.startswith(_MAGIC):
+        if len(block) < SEAL_BYTES:
+            return (
+                f"is cut short: expected a seal of {SEAL_BYTES} bytes, found {len(block)}; "
+                "build it again with --force"
+            )
+        return "its seal (the first 512 bytes) was altered; build it again with --force"
+    if block.startswith(_HDF5_SIGNATURE):
+        return "is an HDF5 file but not a slicemask bank: it has no seal in its first 512 bytes"
+    return "is not a slicemask bank"

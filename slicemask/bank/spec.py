@@ -1,0 +1,156 @@
+"""What a bank holds, and the name that says so."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slicemask.errors import BankFormatError, SpecError
+from slicemask.geometry.frustum import Frustum
+from slicemask.geometry.masks import Engine, check_cells, check_engine
+from slicemask.geometry.poses import PoseGrid
+
+
+@dataclass(frozen=True)
+class PoseDigest:
+    """What identifies a list of poses.
+
+    Parameters
+    ----------
+    count : int
+        Number of poses K.
+    sha256 : str
+        SHA-256 of the poses as little-endian float64 [K, 3], in hexadecimal.
+    """
+
+    count: int
+    sha256: str
+
+    @classmethod
+    def of(cls, poses: NDArray[np.float64]) -> "PoseDigest":
+        """Return the digest of checked poses, float64 [K, 3]."""
+        return cls(len(poses), hashlib.sha256(poses.astype("<f8").tobytes()).hexdigest())
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __str__(self) -> str:
+        return f"{self.count} poses"
+
+
+@dataclass(frozen=True)
+class BankSpec:
+    """Everything needed to build a bank again.
+
+    Parameters
+    ----------
+    poses : PoseGrid or PoseDigest
+        The candidate poses: a grid, or the digest of a list.
+    frustum : Frustum
+        Field of view and slices.
+    cells : int
+        L, the cells along each side of the tile, 1 to 8192.
+    engine : {"shapely", "rays"}
+        What computed the masks.
+    versions : dict of str
+        Versions of the software that wrote the bank. They do not count when specs are compared.
+
+    Raises
+    ------
+    SpecError
+        If a value is out of its range, or there are more masks than a bank can number.
+    """
+
+    poses: PoseGrid | PoseDigest
+    frustum: Frustum = field(default_factory=Frustum)
+    cells: int = 32
+    engine: Engine = "shapely"
+    versions: dict[str, str] = field(default_factory=dict, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cells", check_cells(self.cells))
+        check_engine(self.engine)
+        if len(self.poses) * self.frustum.slices >= 2**31:
+            raise SpecError(
+                f"{self.poses} with {self.frustum.slices} slices make "
+                f"{len(self.poses) * self.frustum.slices:,} masks; a bank numbers them with 31 "
+                "bits: choose fewer poses or slices"
+            )
+
+    @property
+    def grid(self) -> PoseGrid | None:
+        """The pose grid, or None for a list of poses."""
+        return self.poses if isinstance(self.poses, PoseGrid) else None
+
+    def to_json(self) -> str:
+        """The spec as JSON text, keys sorted."""
+        poses = "grid" if isinstance(self.poses, PoseGrid) else "poses"
+        content = asdict(self)
+        content[poses] = content.pop("poses")
+        return json.dumps(content, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> "BankSpec":
+        """Read a spec from the JSON of `to_json`.
+
+        Raises
+        ------
+        BankFormatError
+            If the text is not such JSON.
+        """
+        try:
+            content: dict[str, Any] = json.loads(text)
+            poses: PoseGrid | PoseDigest
+            if "grid" in content:
+                grid = content.pop("grid")
+                poses = PoseGrid(**{**grid, "extent": tuple(grid["extent"])})
+            else:
+                poses = PoseDigest(**content.pop("poses"))
+            return cls(poses=poses, frustum=Frustum(**content.pop("frustum")), **content)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise BankFormatError(f"the spec cannot be read ({error})") from error
+
+    def name(self) -> str:
+        """File name of the bank, such as ``21x21x64_hfov360_n16_l32.h5``."""
+        if isinstance(self.poses, PoseGrid):
+            parts = [str(self.poses)]
+            if self.poses.extent != (0.0, 0.0, 1.0, 1.0):
+                parts.append("extent" + "-".join(map(_plain, self.poses.extent)))
+            if self.poses.places != "centres":
+                parts.append(self.poses.places)
+        else:
+            parts = [f"poses{self.poses.count}-{self.poses.sha256[:8]}"]
+        parts.append(f"hfov{_plain(self.frustum.hfov_deg)}")
+        if self.frustum.projection != "equirectangular":
+            parts.append(self.frustum.projection)
+        parts += [f"n{self.frustum.slices}", f"l{self.cells}"]
+        if self.engine != "shapely":
+            parts.append(self.engine)
+        return "_".join(parts) + ".h5"
+
+    def summary(self) -> str:
+        """One line that says what the bank holds, for messages and titles."""
+        frustum = self.frustum
+        words = [
+            str(self.poses),
+            f"hfov {_plain(frustum.hfov_deg)} deg {frustum.projection}",
+            f"{frustum.slices} slices",
+            f"{self.cells}x{self.cells} cells",
+            f"engine {self.engine}",
+        ]
+        if isinstance(self.poses, PoseGrid):
+            if self.poses.extent != (0.0, 0.0, 1.0, 1.0):
+                words.insert(1, "extent " + ",".join(map(_plain, self.poses.extent)))
+            if self.poses.places != "centres":
+                words.insert(1, self.poses.places)
+        else:
+            words[0] += f" ({self.poses.sha256[:8]})"
+        return ", ".join(words)
+
+
+def _plain(value: float) -> str:
+    """Shortest decimal that reads back as the same float, without an exponent."""
+    return str(np.format_float_positional(value, trim="-"))
