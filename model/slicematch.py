@@ -1,0 +1,116 @@
+"""SliceMatch: encode both images, aggregate to descriptors, score poses."""
+
+from pathlib import Path
+
+from torch import Tensor, nn
+
+from model.aggregation import AerialAttention, GroundAggregator, aerial_descriptors
+from model.encoders import Encoder
+from model.errors import ConfigError
+from model.scoring import Candidates, score_candidates
+
+
+class SliceMatch(nn.Module):
+    """Cross-view pose estimation by slices: Lentsch, Xia, Caesar, Kooij, CVPR 2023.
+
+    Shapes: B pairs, C channels, N slices, L x L aerial cells, K poses.
+
+    Parameters
+    ----------
+    encoder : str
+        timm backbone of both images; the two share no weights.
+    weights : str or path
+        Weights that both encoders start from: see `model.encoders.Encoder`.
+    ground_size : (height, width)
+        Pixels of the ground images.
+    aerial_size : int
+        Pixels along each side of the aerial images.
+    stride : int
+        Stride of the feature maps.
+    slices : int
+        N.
+    cross_view_attention : bool
+        Whether the aerial attention sees the ground descriptors (eq. 3).
+
+    Attributes
+    ----------
+    cells : int
+        L, the cells along each side of the aerial feature map, and so of the masks.
+    channels : int
+        C.
+
+    Raises
+    ------
+    ConfigError, WeightsError
+        As `model.encoders.Encoder`.
+    """
+
+    def __init__(
+        self,
+        encoder: str = "vgg16",
+        weights: str | Path = "imagenet",
+        ground_size: tuple[int, int] = (320, 640),
+        aerial_size: int = 512,
+        stride: int = 16,
+        slices: int = 16,
+        cross_view_attention: bool = True,
+    ) -> None:
+        super().__init__()
+        if slices < 1:
+            raise ConfigError(f"slices is {slices}; it must be at least 1")
+        self.ground_encoder = Encoder(encoder, ground_size, stride, weights)
+        self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights)
+        self.channels = self.aerial_encoder.channels
+        self.cells = self.aerial_encoder.feature_size[0]
+        self.ground_aggregator = GroundAggregator(self.channels, slices)
+        self.aerial_attention = AerialAttention(self.channels, cross_view_attention)
+
+    def encode_ground(self, images: Tensor) -> Tensor:
+        """Ground images [B, 3, height, width] to unit descriptors d_g^n [B, N, C]."""
+        return self.ground_aggregator(self.ground_encoder(images))
+
+    def encode_aerial(self, images: Tensor) -> Tensor:
+        """Aerial images [B, 3, A, A] to feature maps z_a [B, C, L, L]."""
+        return self.aerial_encoder(images)
+
+    def attend(self, aerial: Tensor, ground: Tensor) -> Tensor:
+        """Attention maps M_a^n [B, N, L, L] of z_a [B, C, L, L] for d_g^n [B, N, C]."""
+        return self.aerial_attention(aerial, ground)
+
+    def descriptors(self, ground: Tensor, aerial: Tensor, masks: Tensor) -> Tensor:
+        """Aerial descriptors of poses.
+
+        Parameters
+        ----------
+        ground : float [B, N, C]
+            What `encode_ground` gives.
+        aerial : float [B, C, L, L]
+            What `encode_aerial` gives.
+        masks : float [B, K, N, L, L]
+            The poses' slice masks.
+
+        Returns
+        -------
+        descriptors : float [B, K, N, C]
+            Unit length, or zero for an empty slice.
+        """
+        return aerial_descriptors(aerial, self.attend(aerial, ground), masks.to(aerial))
+
+    def score(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
+        """Scores of candidates.
+
+        Parameters
+        ----------
+        ground : float [B, N, C]
+            What `encode_ground` gives.
+        aerial : float [B, C, L, L]
+            What `encode_aerial` gives.
+        candidates : Candidates
+            K poses.
+
+        Returns
+        -------
+        scores : float [B, K]
+            Cosines, in [-1, 1]; `Candidates.on_grid` lays them on the grid.
+        """
+        return score_candidates(ground, aerial, self.attend(aerial, ground), candidates)
