@@ -55,6 +55,12 @@ def make_kitti_tree():
 
 
 @pytest.fixture
+def sample_view():
+    """The function that samples a ground image from a tile (see `look_around`)."""
+    return look_around
+
+
+@pytest.fixture
 def paint_texture():
     """The function that paints a random tile (see `texture`)."""
     return texture
