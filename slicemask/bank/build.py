@@ -19,8 +19,9 @@ from slicemask.bank.cache import bank_path
 from slicemask.bank.read import open_bank
 from slicemask.bank.seal import has_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
+from slicemask.bank.threads import thread_count
 from slicemask.bank.write import BankWriter
-from slicemask.errors import BankError, BankExistsError, BankFormatError, SpecError
+from slicemask.errors import BankError, BankExistsError, BankFormatError
 from slicemask.geometry.distinct import (
     Images,
     Loose,
@@ -50,10 +51,13 @@ class BuildResult:
         The bank.
     reused : bool
         Whether it was there already and matched, so that nothing was computed.
+    rows : int
+        M, the number of distinct masks in it.
     """
 
     path: Path
     reused: bool
+    rows: int
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ def build_bank(
         If the bank cannot be written; nothing is left behind.
     """
     frustum = frustum or Frustum()
-    jobs = _check_jobs(jobs)
+    jobs = thread_count(jobs)
     source: PoseSource
     if isinstance(poses, PoseGrid):
         spec = BankSpec(poses, frustum, cells, engine, versions=_versions(engine))
@@ -133,28 +137,18 @@ def build_bank(
         lock = path.with_name(f".{path.name}.lock")
         with filelock.FileLock(lock):
             try:
-                if path.exists() and _reusable(path, spec, force):
-                    return BuildResult(path, reused=True)
-                _build(path, spec, source, jobs, progress)
+                if path.exists():
+                    rows = _reusable_rows(path, spec, force)
+                    if rows is not None:
+                        return BuildResult(path, reused=True, rows=rows)
+                rows = _build(path, spec, source, jobs, progress)
             finally:
                 lock.unlink(missing_ok=True)
     except BankError:
         raise
     except (OSError, RuntimeError) as error:  # h5py raises both
         raise BankError(f"{path}: cannot be written: {_reason(error)}") from error
-    return BuildResult(path, reused=False)
-
-
-def _check_jobs(jobs: int | None) -> int:
-    if jobs is None:
-        return (
-            len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else (os.cpu_count() or 1)
-        )
-    if not isinstance(jobs, int) or jobs < 1:
-        raise SpecError(f"jobs is {jobs!r}; it must be a whole number of at least 1")
-    return jobs
+    return BuildResult(path, reused=False, rows=rows)
 
 
 def _versions(engine: Engine) -> dict[str, str]:
@@ -171,13 +165,16 @@ def _versions(engine: Engine) -> dict[str, str]:
     return versions
 
 
-def _reusable(path: Path, spec: BankSpec, force: bool) -> bool:
-    """Whether the file in the way is the bank asked for; an error if it may not be replaced."""
+def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
+    """Rows of the bank in the way if it is the one asked for, or None if it may be replaced.
+
+    Raises BankExistsError if it is neither, and BankFormatError if it is damaged.
+    """
     if path.is_dir():
         raise BankExistsError(f"{path}: is a folder; name a file with --out")
     try:
         with open_bank(path) as bank:
-            found = bank.spec
+            found, rows = bank.spec, bank.rows
     except BankFormatError as error:
         if not has_seal(path):
             raise BankExistsError(
@@ -185,21 +182,22 @@ def _reusable(path: Path, spec: BankSpec, force: bool) -> bool:
                 "or name another file with --out"
             ) from error
         if force:
-            return False
+            return None
         raise
     if force:
-        return False
+        return None
     if found != spec:
         raise BankExistsError(
             f"{path}: holds another bank ({found.summary()}) than the one asked for "
             f"({spec.summary()}); name another file with --out, or replace it with --force"
         )
-    return True
+    return rows
 
 
 def _build(
     path: Path, spec: BankSpec, source: PoseSource, jobs: int, progress: Progress | None
-) -> None:
+) -> int:
+    """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
     most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
     work = batches(source, max(1, most // slices))
@@ -235,6 +233,7 @@ def _build(
             flat = index.reshape(-1)
             flat[at] = first + row[-1 - flat[at]]
         writer.finish(index, source.pieces())
+    return writer.rows
 
 
 def _write_rows(writer: BankWriter, rows: Iterator[_Rows] | list[_Rows]) -> int:

@@ -17,6 +17,8 @@ from slicemask.errors import BankError, BankFormatError, PoseError
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
+# Up to this many poses, `masks` reads their rows of the index one by one.
+_FEW_POSES = 64
 _MASK_OBJECTS: dict[str, type] = {"data": np.float32, "indices": np.int32, "indptr": np.int64}
 
 
@@ -76,8 +78,7 @@ class Bank:
     def index(self) -> NDArray[Any]:
         """Row of the distinct masks for each pose and slice, int32 [K, N]. Read once and kept."""
         index = self._read("index")
-        if index.size and not 0 <= int(index.min()) <= int(index.max()) < self.rows:
-            raise self._fault("/index", f"rows from 0 to {self.rows - 1}", "others")
+        self._check_index(index)
         return index
 
     def csr(self) -> "csr_matrix":
@@ -116,8 +117,7 @@ class Bank:
             raise PoseError(
                 f"pose {outside.flat[0]} is not in the bank; it holds 0 to {len(self) - 1}"
             )
-        wanted = [self._index_of(int(k)) for k in asked.flat]
-        rows, place = np.unique(np.array(wanted, dtype=np.int64), return_inverse=True)
+        rows, place = np.unique(self._rows_of(asked.ravel()), return_inverse=True)
         cells = self.spec.cells
         dense = np.zeros((len(rows), cells * cells), dtype=np.float32)
         # Runs of consecutive rows are read together.
@@ -126,13 +126,18 @@ class Bank:
                 self._fill(dense[run[0] : run[-1] + 1], int(rows[run[0]]))
         return dense[place.ravel()].reshape(*asked.shape, self.spec.frustum.slices, cells, cells)
 
-    def _index_of(self, pose: int) -> NDArray[Any]:
-        if "index" in self.__dict__:
-            return np.asarray(self.index[pose])
-        row = self._read("index", slice(pose, pose + 1))[0]
-        if not 0 <= int(row.min()) <= int(row.max()) < self.rows:
+    def _rows_of(self, poses: NDArray[np.integer[Any]]) -> NDArray[Any]:
+        """Rows of poses' slices, [k, N]; a few poses do not make the whole index be read."""
+        if "index" in self.__dict__ or len(poses) > _FEW_POSES:
+            return np.asarray(self.index[poses])
+        rows = [self._read("index", slice(int(k), int(k) + 1)) for k in poses]
+        index = np.concatenate([np.empty((0, self.spec.frustum.slices), np.int32), *rows])
+        self._check_index(index)
+        return index
+
+    def _check_index(self, index: NDArray[Any]) -> None:
+        if index.size and not 0 <= int(index.min()) <= int(index.max()) < self.rows:
             raise self._fault("/index", f"rows from 0 to {self.rows - 1}", "others")
-        return np.asarray(row)
 
     def _fill(self, dense: NDArray[np.float32], first: int) -> None:
         """Read rows first, first + 1, ... into dense [r, L * L]."""

@@ -71,7 +71,7 @@ class BankWriter:
     def add_rows(
         self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
     ) -> int:
-        """Add CSR rows (nonzeros of each [r], their cells and fractions); give the first's number."""
+        """Add CSR rows: nonzeros of each, cells, fractions. Give the first row's number."""
         first = self.rows
         _append(self._indices, indices)
         _append(self._data, data)

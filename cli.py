@@ -1,0 +1,346 @@
+"""The slicemask command: parse, call the library once, print."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+import slicemask
+from slicemask import Frustum, PoseGrid, SlicemaskError
+
+
+class _Group(click.Group):
+    """Commands whose expected errors are one sentence and exit code 1."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except SlicemaskError as error:
+            raise click.ClickException(str(error)) from error
+
+
+class _Numbers(click.ParamType):
+    """Numbers parted by commas, such as ``0.5,0.5,90``."""
+
+    def __init__(self, names: str, kind: type = float):
+        self.name = names
+        self.kind = kind
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        parts = value.split(",")
+        try:
+            numbers = tuple(self.kind(part) for part in parts)
+        except ValueError:
+            numbers = ()
+        if len(numbers) != len(self.name.split(",")):
+            self.fail(f"{value!r} is not {self.name}", param, ctx)
+        return numbers
+
+
+@contextmanager
+def _progress(what: str, unit: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A progress bar on a terminal; None elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(f"{task.speed:,.0f} {unit}/s" if task.speed else "")
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _print(as_json: bool, content: dict[str, Any], text: str) -> None:
+    click.echo(json.dumps(content, indent=2) if as_json else text)
+
+
+_as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
+_cache = click.option(
+    "--cache",
+    metavar="DIR",
+    help="Folder of banks.  [default: $SLICEMASK_CACHE, else masks_cache]",
+)
+
+
+def _frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --hfov, --slices, --cells and --projection."""
+    for option in reversed(
+        (
+            click.option(
+                "--hfov",
+                type=float,
+                default=360.0,
+                show_default=True,
+                metavar="DEGREES",
+                help="Horizontal field of view, in (0, 360].",
+            ),
+            click.option(
+                "--slices", type=int, default=16, show_default=True, help="Slices N of the HFoV."
+            ),
+            click.option(
+                "--cells", type=int, default=32, show_default=True, help="Cells L along each side."
+            ),
+            click.option(
+                "--projection",
+                type=click.Choice(["equirectangular", "pinhole"]),
+                default="equirectangular",
+                show_default=True,
+                help="Equal azimuth ranges, or equal widths in a pinhole image.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(slicemask.__version__, prog_name="slicemask")
+def main() -> None:
+    """Exact slice masks for cross-view localization."""
+
+
+@main.command()
+@click.option("--grid", metavar="RxCxH", help="Rows x columns x headings, such as 21x21x64.")
+@click.option(
+    "--poses",
+    "pose_file",
+    metavar="FILE",
+    help="A list of poses instead: CSV with columns u,v,heading_deg, or .npy [K, 3].",
+)
+@click.option(
+    "--extent",
+    type=_Numbers("u0,v0,u1,v1"),
+    help="Part of the tile that the grid fills.  [default: all]",
+)
+@click.option(
+    "--places",
+    type=click.Choice(["centres", "endpoints"]),
+    default="centres",
+    show_default=True,
+    help="Where the grid's places lie in the extent.",
+)
+@_frustum_options
+@click.option(
+    "--engine",
+    type=click.Choice(["shapely", "rays"]),
+    default="shapely",
+    show_default=True,
+    help="Polygon intersections, or the closed form.",
+)
+@click.option("--out", metavar="FILE", help="Where the bank goes.  [default: a name in the cache]")
+@_cache
+@click.option("--force", is_flag=True, help="Build again, and replace the bank that is there.")
+@click.option("--jobs", type=int, help="Threads.  [default: all processors]")
+@_as_json
+def build(
+    grid: str | None,
+    pose_file: str | None,
+    extent: tuple[float, float, float, float] | None,
+    places: Any,
+    hfov: float,
+    slices: int,
+    cells: int,
+    projection: Any,
+    engine: Any,
+    out: str | None,
+    cache: str | None,
+    force: bool,
+    jobs: int | None,
+    as_json: bool,
+) -> None:
+    """Build the bank of a pose grid, or of a list of poses."""
+    if (grid is None) == (pose_file is None):
+        raise click.UsageError("Give either --grid, such as --grid 21x21x64, or --poses FILE.")
+    if pose_file is not None and (extent is not None or places != "centres"):
+        raise click.UsageError("--extent and --places belong to --grid, not to --poses.")
+    start = time.perf_counter()
+    frustum = Frustum(hfov, slices, projection)
+    poses = (
+        slicemask.read_poses(pose_file)
+        if pose_file is not None
+        else PoseGrid.parse(str(grid), extent or (0.0, 0.0, 1.0, 1.0), places)
+    )
+    with _progress("building", "poses") as progress:
+        result = slicemask.build_bank(
+            poses,
+            frustum,
+            cells,
+            engine=engine,
+            out=out,
+            cache=cache,
+            force=force,
+            jobs=jobs,
+            progress=progress,
+        )
+    content = {
+        "path": str(result.path),
+        "reused": result.reused,
+        "poses": len(poses),
+        "masks": len(poses) * slices,
+        "distinct_masks": result.rows,
+        "bytes": result.path.stat().st_size,
+        "seconds": round(time.perf_counter() - start, 3),
+    }
+    size = f"{content['bytes'] / 1e6:.1f} MB"
+    figures = (
+        f"{len(poses):,} poses, {result.rows:,} distinct masks of {content['masks']:,}, {size}"
+    )
+    _print(
+        as_json,
+        content,
+        f"{result.path}: is there already and matches ({figures}); --force builds it again"
+        if result.reused
+        else f"{result.path}: built in {content['seconds']:.2f} s ({figures})",
+    )
+
+
+@main.command()
+@click.argument("bank")
+@_as_json
+def info(bank: str, as_json: bool) -> None:
+    """Say what a bank holds."""
+    with slicemask.open_bank(bank) as opened:
+        spec = opened.spec
+        content = {
+            "path": bank,
+            "format": "slicemask-bank",
+            "version": 1,
+            "spec": json.loads(spec.to_json()),
+            "poses": len(opened),
+            "masks": len(opened) * spec.frustum.slices,
+            "distinct_masks": opened.rows,
+            "nonzeros": opened.nonzeros,
+            "bytes": Path(bank).stat().st_size,
+        }
+    lines = {
+        "bank": f"{bank} (slicemask-bank, version 1)",
+        "poses": f"{len(opened):,} ({spec.poses})",
+        "HFoV": f"{spec.frustum.hfov_deg:g} degrees, {spec.frustum.projection}",
+        "slices": str(spec.frustum.slices),
+        "cells": f"{spec.cells} x {spec.cells}",
+        "masks": f"{content['masks']:,}, {opened.rows:,} of them distinct",
+        "nonzeros": f"{opened.nonzeros:,}, {opened.nonzeros / opened.rows:.1f} a distinct mask",
+        "size": f"{content['bytes'] / 1e6:.2f} MB",
+        "engine": spec.engine,
+        "versions": ", ".join(f"{name} {text}" for name, text in sorted(spec.versions.items())),
+    }
+    if spec.grid is not None:
+        u0, v0, u1, v1 = spec.grid.extent
+        lines["extent"] = f"u {u0:g} to {u1:g}, v {v0:g} to {v1:g}, places at {spec.grid.places}"
+    _print(as_json, content, "\n".join(f"{name:<10}{text}" for name, text in lines.items()))
+
+
+@main.command()
+@click.argument("bank")
+@click.option(
+    "--sample", type=int, default=2000, show_default=True, help="Masks to recompute, at least."
+)
+@click.option("--all", "everything", is_flag=True, help="Recompute every mask of every pose.")
+@click.option("--jobs", type=int, help="Threads.  [default: all processors]")
+@_as_json
+def verify(bank: str, sample: int, everything: bool, jobs: int | None, as_json: bool) -> None:
+    """Recompute a bank's masks with the other engine and compare."""
+    from slicemask.bank.verify import verify_bank
+
+    with slicemask.open_bank(bank) as opened, _progress("verifying", "poses") as progress:
+        found = verify_bank(opened, None if everything else sample, jobs, progress)
+    compared = f"{found.masks:,} masks of {found.poses:,} poses recomputed with {found.engine}"
+    largest = f"largest difference {found.largest_difference:.2e}"
+    if found.first_wrong is None:
+        verdict = f"{largest}, within float32 rounding ({found.tolerance:.1e})"
+    else:
+        pose, number = found.first_wrong
+        verdict = f"{found.wrong_masks:,} are wrong, first slice {number} of pose {pose}; {largest}"
+    _print(as_json, {**asdict(found), "passed": found.passed}, f"{bank}: {compared}: {verdict}")
+    if not found.passed:
+        sys.exit(1)
+
+
+@main.command()
+@click.argument("bank", required=False)
+@click.option("--pose", metavar="ROW,COLUMN,HEADING|K", help="Which pose of the bank.")
+@click.option(
+    "--at", type=_Numbers("u,v,heading_deg"), help="Any pose, computed now; needs no bank."
+)
+@_frustum_options
+@click.option("--aerial", metavar="IMAGE", help="Aerial tile to draw on.")
+@click.option("--out", metavar="FILE", help="PNG, SVG or PDF (GIF with --animate), by its suffix.")
+@click.option(
+    "--animate", type=click.Choice(["heading"]), help="Write a GIF that turns the camera."
+)
+@_cache
+@_as_json
+@click.pass_context
+def visualize(
+    ctx: click.Context,
+    bank: str | None,
+    pose: str | None,
+    at: tuple[float, float, float] | None,
+    hfov: float,
+    slices: int,
+    cells: int,
+    projection: Any,
+    aerial: str | None,
+    out: str | None,
+    animate: str | None,
+    cache: str | None,
+    as_json: bool,
+) -> None:
+    """Draw the slices of a pose: of BANK, of the newest bank, or of --at."""
+    from slicemask import plot, view
+
+    if at is not None and (bank is not None or pose is not None):
+        raise click.UsageError("--at needs no BANK and no --pose: give one or the other.")
+    if at is None:
+        for name in ("hfov", "slices", "cells", "projection"):
+            if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+                raise click.UsageError(f"--{name} belongs to --at; a bank has its own.")
+    tile = plot.read_aerial(aerial) if aerial is not None else None
+    seen = (
+        view.view_at(at, Frustum(hfov, slices, projection), cells)
+        if at is not None
+        else view.view_of_bank(bank, pose, cache)
+    )
+    path = Path(out or f"{seen.name}.{'gif' if animate else 'png'}")
+    if animate:
+        with _progress("drawing", "frames") as progress:
+            plot.animate_heading(
+                seen.pose, seen.frustum, seen.cells, path, aerial=tile, progress=progress
+            )
+    else:
+        plot.save_figure(plot.draw_pose(seen.masks, seen.pose, seen.frustum, aerial=tile), path)
+    u, v, heading_deg = (float(value) for value in seen.pose)
+    content = {"path": str(path), "pose": {"u": u, "v": v, "heading_deg": heading_deg}}
+    _print(as_json, content, f"{path}: u {u:.4g}, v {v:.4g}, heading {heading_deg:.4g} degrees")
+
+
+if __name__ == "__main__":
+    main()

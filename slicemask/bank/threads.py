@@ -1,0 +1,22 @@
+"""How many threads to use."""
+
+import os
+
+from slicemask.errors import SpecError
+
+
+def thread_count(jobs: int | None) -> int:
+    """Return the number of threads asked for, or that of the processors this process may use.
+
+    Raises
+    ------
+    SpecError
+        If it is less than 1.
+    """
+    if jobs is None:
+        if hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
+    if not isinstance(jobs, int) or jobs < 1:
+        raise SpecError(f"jobs is {jobs!r}; it must be a whole number of at least 1")
+    return jobs

@@ -1,0 +1,134 @@
+"""Checking a bank: its masks recomputed independently, by the other engine."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slicemask.bank.read import Bank
+from slicemask.bank.spec import PoseDigest
+from slicemask.bank.threads import thread_count
+from slicemask.errors import BankFormatError, SpecError
+from slicemask.geometry.masks import Engine, slice_masks
+
+# Half a unit in the last place of a float32 below 1, and what two engines may differ by.
+TOLERANCE = 2.0**-25 + 1e-9
+
+_BATCH_VALUES = 1 << 22
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What a verification found.
+
+    Parameters
+    ----------
+    engine : str
+        The engine that recomputed the masks: not the bank's.
+    poses, masks : int
+        How many poses were taken, and masks compared.
+    largest_difference : float
+        Between a stored fraction and the recomputed one.
+    wrong_masks : int
+        Masks that differ by more than ``tolerance`` somewhere.
+    first_wrong : (int, int), optional
+        Pose and slice of the first of them.
+    tolerance : float
+        What rounding to float32 explains.
+    """
+
+    engine: Engine
+    poses: int
+    masks: int
+    largest_difference: float
+    wrong_masks: int
+    first_wrong: tuple[int, int] | None
+    tolerance: float = TOLERANCE
+
+    @property
+    def passed(self) -> bool:
+        """Whether every compared mask is right."""
+        return self.wrong_masks == 0
+
+
+def verify_bank(
+    bank: Bank,
+    sample: int | None = 2000,
+    jobs: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Verification:
+    """Recompute a bank's masks from its poses with the other engine, and compare.
+
+    Neither symmetry nor equality is used: each slice of each pose is computed on its own, so
+    that the index and the permutations are checked as much as the geometry.
+
+    Parameters
+    ----------
+    bank : Bank
+        An open bank.
+    sample : int or None
+        Compare at least this many masks, of poses drawn at random (the same ones each time);
+        None compares all.
+    jobs : int
+        Threads; as many as there are processors by default.
+    progress : callable, optional
+        Called with (poses done, poses in all).
+
+    Raises
+    ------
+    BankFormatError
+        If the bank cannot be read, or its poses are not those its spec names.
+    SpecError
+        If the sample is less than 1.
+    """
+    if sample is not None and sample < 1:
+        raise SpecError(f"sample is {sample!r}; it must be at least 1")
+    spec = bank.spec
+    _check_poses(bank)
+    slices, cells = spec.frustum.slices, spec.cells
+    engine: Engine = "rays" if spec.engine == "shapely" else "shapely"
+    count = len(bank) if sample is None else min(len(bank), -(-sample // slices))
+    chosen = np.arange(len(bank))
+    if count < len(bank):
+        chosen = np.sort(np.random.default_rng(0).choice(len(bank), count, replace=False))
+    matrix = bank.csr() if sample is None else None
+
+    def differences(some: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Largest difference in each mask of some poses, [k, N]."""
+        expected = slice_masks(bank.poses[some], spec.frustum, cells, engine)
+        if matrix is None:
+            stored = bank.masks(some)
+        else:
+            stored = matrix[bank.index[some].ravel()].toarray().reshape(expected.shape)
+        return np.asarray(np.abs(stored - expected).max(axis=(2, 3)))
+
+    step = max(1, _BATCH_VALUES // (slices * cells**2))
+    parts = [chosen[start : start + step] for start in range(0, count, step)]
+    largest, wrong, first = 0.0, 0, None
+    done = 0
+    with ThreadPoolExecutor(thread_count(jobs)) as pool:
+        for part, difference in zip(parts, pool.map(differences, parts), strict=True):
+            largest = max(largest, float(difference.max()))
+            faulty = np.argwhere(~(difference <= TOLERANCE))
+            wrong += len(faulty)
+            if len(faulty) and first is None:
+                first = int(part[faulty[0, 0]]), int(faulty[0, 1])
+            done += len(part)
+            if progress:
+                progress(done, count)
+    return Verification(engine, count, count * slices, largest, wrong, first)
+
+
+def _check_poses(bank: Bank) -> None:
+    spec = bank.spec.poses
+    if isinstance(spec, PoseDigest):
+        same = PoseDigest.of(bank.poses) == spec
+    else:
+        same = np.array_equal(bank.poses, spec.poses())
+    if not same:
+        raise BankFormatError(
+            f"{bank.path}: /poses: expected the poses of its spec ({bank.spec.poses}), "
+            "found others; build it again with --force"
+        )
