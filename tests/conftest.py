@@ -1,0 +1,60 @@
+"""The plain reference that all masks are held against: every cell of every slice, one at a time.
+
+It shares nothing with the package but the meaning of its arguments: angles through `math`, slices
+as triangles from the camera, and Shapely's ``polygon.intersection(cell).area``.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from shapely.geometry import Polygon, box
+
+
+@pytest.fixture(scope="session")
+def plain_masks():
+    """The function that computes masks plainly (see `compute_plain_masks`)."""
+    return compute_plain_masks
+
+
+def compute_plain_masks(poses, frustum, cells):
+    """Masks of poses, float64 [K, N, L, L], by a Python loop over poses, slices and cells.
+
+    ``poses`` [K, 3] are u, v, heading_deg in the aerial frame; ``frustum`` has hfov_deg, slices
+    and projection.
+    """
+    boxes = [
+        [box(j / cells, i / cells, (j + 1) / cells, (i + 1) / cells) for j in range(cells)]
+        for i in range(cells)
+    ]
+    masks = np.zeros((len(poses), frustum.slices, cells, cells))
+    for k, (u, v, heading_deg) in enumerate(np.asarray(poses, dtype=float)):
+        edges = [heading_deg + offset for offset in _edge_offsets(frustum)]
+        for n in range(frustum.slices):
+            triangles = _triangles(u, v, edges[n], edges[n + 1])
+            for i in range(cells):
+                for j in range(cells):
+                    cell = boxes[i][j]
+                    shared = sum(triangle.intersection(cell).area for triangle in triangles)
+                    masks[k, n, i, j] = shared / cell.area
+    return masks
+
+
+def _edge_offsets(frustum):
+    hfov, count = frustum.hfov_deg, frustum.slices
+    if frustum.projection == "pinhole":
+        half_width = math.tan(math.radians(hfov) / 2)
+        return [
+            math.degrees(math.atan((2 * n / count - 1) * half_width)) for n in range(count + 1)
+        ]
+    return [-hfov / 2 + n * hfov / count for n in range(count + 1)]
+
+
+def _triangles(u, v, left_deg, right_deg):
+    """A slice as triangles of at most 90 degrees each, that reach past the tile's far corner."""
+    parts = max(1, math.ceil((right_deg - left_deg) / 90 - 1e-9))
+    azimuths = [
+        math.radians(left_deg + (right_deg - left_deg) * part / parts) for part in range(parts + 1)
+    ]
+    rim = [(u + 4 * math.sin(azimuth), v - 4 * math.cos(azimuth)) for azimuth in azimuths]
+    return [Polygon([(u, v), *ends]) for ends in zip(rim, rim[1:], strict=False)]
