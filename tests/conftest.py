@@ -4,6 +4,7 @@ It shares nothing with the package but the meaning of its arguments: angles thro
 as triangles from the camera, and Shapely's ``polygon.intersection(cell).area``.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -44,9 +45,7 @@ def _edge_offsets(frustum):
     hfov, count = frustum.hfov_deg, frustum.slices
     if frustum.projection == "pinhole":
         half_width = math.tan(math.radians(hfov) / 2)
-        return [
-            math.degrees(math.atan((2 * n / count - 1) * half_width)) for n in range(count + 1)
-        ]
+        return [math.degrees(math.atan((2 * n / count - 1) * half_width)) for n in range(count + 1)]
     return [-hfov / 2 + n * hfov / count for n in range(count + 1)]
 
 
@@ -57,4 +56,4 @@ def _triangles(u, v, left_deg, right_deg):
         math.radians(left_deg + (right_deg - left_deg) * part / parts) for part in range(parts + 1)
     ]
     rim = [(u + 4 * math.sin(azimuth), v - 4 * math.cos(azimuth)) for azimuth in azimuths]
-    return [Polygon([(u, v), *ends]) for ends in zip(rim, rim[1:], strict=False)]
+    return [Polygon([(u, v), *ends]) for ends in itertools.pairwise(rim)]
