@@ -37,6 +37,8 @@ from slicemask.geometry.symmetry import SYMMETRIES
 _DENSE_VALUES = 1 << 18
 _BATCH_VALUES = 1 << 26
 _BATCH_SLICES = 1 << 16
+# Bytes of a new file that are written at once.
+_ZEROS = 1 << 20
 
 Progress = Callable[[int, int], None]
 
@@ -208,7 +210,12 @@ def _build(
         # gone with the process, and the system can page it out.
         tempfile.TemporaryFile(dir=path.parent) as scratch,
     ):
-        scratch.truncate(total * slices * 4)
+        # Written, not truncated, to its size: a full disk is an error here, and would be a crash
+        # at some later store into a mapped hole.
+        size = total * slices * 4
+        for start in range(0, size, _ZEROS):
+            scratch.write(bytes(min(_ZEROS, size - start)))
+        scratch.flush()
         index = np.memmap(scratch, dtype=np.int32, mode="r+", shape=(total, slices))
         loose: list[Loose] = []
         loose_at: list[NDArray[np.int64]] = []

@@ -1,9 +1,13 @@
 """Writing a bank: streamed to a file that takes its name only when it is whole."""
 
+import io
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import h5py
 import numpy as np
@@ -18,6 +22,37 @@ _LAYOUT = ("v110", "v110")
 _CHUNK_VALUES = 1 << 15
 # Level 1 deflates twice as fast as 4, for files that are 7 % larger.
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
+
+
+class _Sink(io.FileIO):
+    """The file that HDF5 writes to, which never fails as far as HDF5 can see.
+
+    HDF5 cannot let go of a file that it failed to write: closing it fails as well, and then the
+    interpreter crashes at its end. So a failure, such as a full disk, is kept in ``error``, and
+    from then on, or once ``abandoned``, HDF5 writes into nothing.
+    """
+
+    def __init__(self, path: Path):
+        super().__init__(path, "w+")
+        self.abandoned = False
+        self.error: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        view = memoryview(data)
+        try:
+            while len(view) and not self.abandoned:
+                view = view[super().write(view) or 0 :]
+        except OSError as error:
+            self.error, self.abandoned = error, True
+        return len(data)
+
+    def truncate(self, size: int | None = None, /) -> int:
+        try:
+            if not self.abandoned:
+                return super().truncate(size)
+        except OSError as error:
+            self.error, self.abandoned = error, True
+        return size or 0
 
 
 class BankWriter:
@@ -41,26 +76,43 @@ class BankWriter:
         self.spec = spec
         self.rows = 0
         self.nonzeros = 0
+        self._sink: _Sink | None = None
+        self._open = ExitStack()
+        self._thread = ThreadPoolExecutor(1)
 
     def __enter__(self) -> "BankWriter":
         try:
-            self._file = h5py.File(
-                self.partial, "w", userblock_size=SEAL_BYTES, libver=_LAYOUT, locking=False
-            )
-            self._file.attrs["format"] = FORMAT
-            self._file.attrs["version"] = VERSION
-            self._file.attrs["spec"] = self.spec.to_json()
-            group = self._file.create_group("masks")
-            group.attrs["encoding-type"] = "csr_matrix"
-            group.attrs["encoding-version"] = "0.1.0"
-            self._data = self._dataset("masks/data", np.float32)
-            self._indices = self._dataset("masks/indices", np.int32)
-            self._indptr = self._dataset("masks/indptr", np.int64)
-            _append(self._indptr, np.zeros(1, dtype=np.int64))
+            self._do(self._begin)
         except BaseException:
             self._discard()
             raise
         return self
+
+    def _do(self, action: Callable[..., None], *values: Any) -> None:
+        """Take a step on the writer's own thread, and raise if a write failed in it.
+
+        Ctrl-C raises wherever the main thread is; it must not do so in a call that HDF5 makes.
+        """
+        self._thread.submit(action, *values).result()
+        if self._sink is not None and self._sink.error is not None:
+            raise self._sink.error
+
+    def _begin(self) -> None:
+        self._sink = self._open.enter_context(_Sink(self.partial))
+        self._file = h5py.File(
+            self._sink, "w", userblock_size=SEAL_BYTES, libver=_LAYOUT, locking=False
+        )
+        self._open.callback(self._file.close)
+        self._file.attrs["format"] = FORMAT
+        self._file.attrs["version"] = VERSION
+        self._file.attrs["spec"] = self.spec.to_json()
+        group = self._file.create_group("masks")
+        group.attrs["encoding-type"] = "csr_matrix"
+        group.attrs["encoding-version"] = "0.1.0"
+        self._data = self._dataset("masks/data", np.float32)
+        self._indices = self._dataset("masks/indices", np.int32)
+        self._indptr = self._dataset("masks/indptr", np.int64)
+        _append(self._indptr, np.zeros(1, dtype=np.int64))
 
     def _dataset(self, name: str, dtype: type, width: int | None = None) -> h5py.Dataset:
         tail = () if width is None else (width,)
@@ -74,15 +126,23 @@ class BankWriter:
     ) -> int:
         """Add CSR rows: nonzeros of each, cells, fractions. Give the first row's number."""
         first = self.rows
+        self._do(self._add_rows, counts, indices, data)
+        return first
+
+    def _add_rows(
+        self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
+    ) -> None:
         _append(self._indices, indices)
         _append(self._data, data)
         _append(self._indptr, self.nonzeros + np.cumsum(counts))
         self.rows += len(counts)
         self.nonzeros += len(data)
-        return first
 
     def finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
         """Add the index [K, N], copied piece by piece, and the poses, in pieces [k, 3]."""
+        self._do(self._finish, index, poses)
+
+    def _finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
         dataset = self._dataset("index", np.int32, index.shape[1])
         step = dataset.chunks[0] * 16
         for start in range(0, len(index), step):
@@ -104,24 +164,24 @@ class BankWriter:
             self._discard()
             return
         try:
-            self._file.close()
+            self._do(self._open.close)
             write_seal(self.partial)
             _sync(self.partial)
             os.replace(self.partial, self.target)
+            self._thread.shutdown()
         except BaseException:
             self._discard()
             raise
         _sync(self.target.parent)
 
     def _discard(self) -> None:
+        """Let go of the file, and remove it."""
+        if self._sink is not None:
+            self._sink.abandoned = True
         try:
-            if hasattr(self, "_file"):
-                self._file.close()
-        except (OSError, RuntimeError):
-            # Closing writes what is buffered, which fails again on a full disk. The error that
-            # brought us here is the one to report.
-            return
+            self._thread.submit(self._open.close).result()  # after the step in hand
         finally:
+            self._thread.shutdown()
             self.partial.unlink(missing_ok=True)
 
 
