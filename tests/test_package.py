@@ -1,0 +1,26 @@
+"""What importing slicemask does, and the names it promises."""
+
+import subprocess
+import sys
+
+import slicemask
+
+
+def test_importing_loads_no_torch_click_or_matplotlib():
+    code = (
+        "import sys, slicemask\n"
+        "unwanted = {'torch', 'click', 'matplotlib', 'rich', 'shapely', 'scipy'}\n"
+        "print(*unwanted & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []
+
+
+def test_public_names():
+    # A name taken out of this list breaks somebody's code: do it on purpose, and in a changelog.
+    assert slicemask.__all__ == [
+        "Bank", "BankError", "BankExistsError", "BankFormatError", "BankSpec", "BuildResult",
+        "Frustum", "PoseError", "PoseGrid", "SlicemaskError", "SpecError", "build_bank",
+        "open_bank", "read_poses", "slice_masks",
+    ]  # fmt: skip
+    assert all(hasattr(slicemask, name) for name in slicemask.__all__)
