@@ -1,0 +1,169 @@
+"""The figures: one function a table, each with its targets and its peers in the same run."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.peers import exactextract_masks, plain_loop_seconds, random_slices
+from benchmarks.timing import median_seconds, slicemask_command
+from slicemask import Frustum, PoseGrid, open_bank, slice_masks
+from slicemask.geometry import coverage, rays
+
+DEFAULT = ("build", "--grid", "21x21x64", "--hfov", "360", "--force")
+DEFAULT_MASKS = 451_584
+MIB_PER_GIB = 1024
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure: what, the measurement, the target if there is one, and whether met."""
+
+    what: str
+    measured: str
+    target: str = ""
+    met: bool | None = None
+
+
+def bank() -> list[Figure]:
+    """The default bank: time, size, memory, against a plain loop and exactextract."""
+    figures = []
+    with tempfile.TemporaryDirectory() as folder:
+        build = slicemask_command(*DEFAULT, "--cache", folder)
+        figures.append(Figure("build 21x21x64, whole command", f"{build.seconds:.2f} s", "aim 3 s",
+                              build.seconds <= 3))  # fmt: skip
+        sample = 200
+        plain = plain_loop_seconds(sample) * DEFAULT_MASKS
+        figures.append(Figure(
+            f"plain per-cell Shapely loop, {sample} masks scaled to {DEFAULT_MASKS:,}",
+            f"{plain:,.0f} s, {plain / build.seconds:,.0f} times the build",
+            "200 times", plain / build.seconds >= 200,
+        ))  # fmt: skip
+        sample = 2000
+        peer = exactextract_masks(sample)[0] * DEFAULT_MASKS
+        figures.append(Figure(
+            f"exactextract 0.3.0, {sample:,} polygons scaled to {DEFAULT_MASKS:,}",
+            f"{peer:,.1f} s, {peer / build.seconds:,.1f} times the build",
+            "10 times", peer / build.seconds >= 10,
+        ))  # fmt: skip
+        (path,) = Path(folder).glob("*.h5")
+        size = path.stat().st_size / 1e6
+        figures.append(Figure("the bank on disk", f"{size:.2f} MB", "8 MB", size <= 8))
+        seconds = median_seconds(lambda: open_bank(path).csr())
+        figures.append(Figure("opening it and holding its CSR", f"{seconds:.3f} s", "0.1 s",
+                              seconds <= 0.1))  # fmt: skip
+        large = slicemask_command("build", "--grid", "64x64x64", "--cache", folder, runs=1)
+        for grid, peak, most in (
+            ("21x21x64", build.peak_mib, 0.6),
+            ("64x64x64", large.peak_mib, 1),
+        ):
+            figures.append(Figure(f"peak memory of build {grid}", f"{peak / MIB_PER_GIB:.2f} GiB",
+                                  f"{most} GiB", peak <= most * MIB_PER_GIB))  # fmt: skip
+    return figures
+
+
+def engine() -> list[Figure]:
+    """The closed form: one mask, whole builds, ground-truth masks, against its peers."""
+    figures = []
+    sectors = random_slices(256)
+    ours = median_seconds(lambda: rays.sector_fractions(*sectors, 32), runs=25) / 256
+    polygons = median_seconds(lambda: coverage.sector_fractions(*sectors, 32), runs=5) / 256
+    peer = float(np.median([exactextract_masks(256)[0] for _ in range(5)]))
+    figures.append(Figure("one mask, closed form, one thread", f"{ours * 1e6:.1f} us"))
+    figures.append(Figure(
+        "exactextract 0.3.0 on the same polygons",
+        f"{peer * 1e6:.0f} us, {peer / ours:.1f} times the closed form",
+        "10 times", peer / ours >= 10,
+    ))  # fmt: skip
+    figures.append(Figure("the Shapely engine on the same slices",
+                          f"{polygons * 1e6:.0f} us, {polygons / ours:.0f} times"))  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        closed = slicemask_command(*DEFAULT, "--engine", "rays", "--cache", folder, runs=7)
+        default = slicemask_command(*DEFAULT, "--cache", folder, runs=7)
+        ratio = default.seconds / closed.seconds
+        figures.append(Figure("build 21x21x64 --engine rays, whole command",
+                              f"{closed.seconds:.2f} s", "1.0 s", closed.seconds <= 1))  # fmt: skip
+        figures.append(Figure("the default engine in the same run",
+                              f"{default.seconds:.2f} s, {ratio:.1f} times",
+                              "3 times", ratio >= 3))  # fmt: skip
+    poses = np.column_stack([*np.random.default_rng(0).random((2, 64)), np.arange(64) * 5.625])
+    seconds = median_seconds(lambda: slice_masks(poses, Frustum(), 32, "rays")) / 64
+    figures.append(Figure("dense masks of a pose, NumPy, batch of 64, 16 slices",
+                          f"{seconds * 1e3:.2f} ms", "0.3 ms", seconds <= 3e-4))  # fmt: skip
+    seconds = _torch_seconds(poses) / 64
+    figures.append(Figure("the same on torch CPU, forward and backward",
+                          f"{seconds * 1e3:.2f} ms", "1 ms", seconds <= 1e-3))  # fmt: skip
+    return figures
+
+
+def _torch_seconds(poses: np.ndarray) -> float:
+    import torch
+
+    tensor = torch.tensor(poses, requires_grad=True)
+
+    def forward_and_backward() -> None:
+        tensor.grad = None
+        slice_masks(tensor, Frustum(), 32, "rays").sum().backward()
+
+    return median_seconds(forward_and_backward)
+
+
+def million() -> list[Figure]:
+    """A million poses to a bank on disk, by both engines."""
+    figures = []
+    with tempfile.TemporaryDirectory() as folder:
+        grid = ("build", "--grid", "128x128x64", "--force", "--cache", folder)
+        closed = slicemask_command(*grid, "--engine", "rays", runs=1)
+        default = slicemask_command(*grid, runs=1)
+    gib = closed.peak_mib / MIB_PER_GIB
+    figures.append(Figure("build 128x128x64 --engine rays (1,048,576 poses)",
+                          f"{closed.seconds:.1f} s", "60 s", closed.seconds <= 60))  # fmt: skip
+    figures.append(Figure("its peak memory", f"{gib:.2f} GiB", "1.5 GiB", gib <= 1.5))
+    figures.append(Figure("the default engine on the same grid",
+                          f"{default.seconds:.1f} s, {default.peak_mib / MIB_PER_GIB:.2f} GiB"))  # fmt: skip
+    return figures
+
+
+def growth() -> list[Figure]:
+    """Time and bytes against the number of poses, by both engines; draws them into docs/images."""
+    from benchmarks.curves import draw
+
+    grids = ("7x7x16", "14x14x32", "21x21x64", "32x32x64", "64x64x64", "128x128x64")
+    rows: dict[str, list[tuple[int, int, float, float]]] = {"shapely": [], "rays": []}
+    with tempfile.TemporaryDirectory() as folder:
+        for engine_name, points in rows.items():
+            for grid in grids:
+                poses = len(PoseGrid.parse(grid))
+                path = Path(folder) / "bank.h5"
+                cost = slicemask_command(
+                    "build", "--grid", grid, "--engine", engine_name, "--out", str(path), "--force",
+                    runs=1 if poses > 300_000 else 3,
+                )  # fmt: skip
+                with open_bank(path, check=False) as opened:
+                    masks = opened.rows
+                points.append((poses, masks, cost.seconds, path.stat().st_size / 1e6))
+    draw(rows)
+    figures = []
+    for engine_name, points in rows.items():
+        for poses, masks, seconds, megabytes in points:
+            figures.append(Figure(f"{engine_name}: {poses:,} poses, {masks:,} distinct masks",
+                                  f"{seconds:.2f} s, {megabytes:.1f} MB"))  # fmt: skip
+        masks, seconds = np.array([(m, s) for p, m, s, _ in points if p <= 262_144]).T
+        slope, start = np.polyfit(masks, seconds, 1)
+        straight = 1 - ((seconds - start - slope * masks) ** 2).sum() / seconds.var() / len(masks)
+        figures.append(Figure(
+            f"{engine_name}: straight line, 7x7x16 to 64x64x64",
+            f"{start:.2f} s + {slope * 1e6:.0f} us a distinct mask, R2 {straight:.4f}",
+            "R2 0.99", straight >= 0.99,
+        ))  # fmt: skip
+    return figures
+
+
+TABLES: dict[str, Callable[[], list[Figure]]] = {
+    "bank": bank,
+    "engine": engine,
+    "million": million,
+    "growth": growth,
+}
