@@ -172,8 +172,6 @@ def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
 
     Raises BankExistsError if it is neither, and BankFormatError if it is damaged.
     """
-    if path.is_dir():
-        raise BankExistsError(f"{path}: is a folder; name a file with --out")
     try:
         with open_bank(path) as bank:
             found, rows = bank.spec, bank.rows

@@ -27,9 +27,11 @@ def bank_path(
     Raises
     ------
     BankError
-        If the folder is missing, no folder, or cannot be written to.
+        If ``out`` is a folder, or the folder is missing or cannot be written to.
     """
     path = Path(out) if out is not None else cache_folder(cache) / spec.name()
+    if path.is_dir():
+        raise BankError(f"{path}: is a folder; name a file in it")
     folder = path.parent
     if out is None and cache is None and not folder.exists():
         try:
