@@ -12,9 +12,8 @@ from slicemask.geometry.poses import check_poses
 
 Engine = Literal["shapely", "rays"]
 
-# A share below this is rounding noise (that of both engines stays under 1e-11 up to 4096 cells a
-# side) and counts as none.
-NEGLIGIBLE = 1e-10
+# A share this close to 0 or 1 is one: it is of the order of rounding noise.
+_NEGLIGIBLE = 1e-10
 
 
 def check_engine(engine: str) -> Engine:
@@ -62,8 +61,9 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     -------
     masks : float64 [K, N, L, L]
         The share of cell (row, column) that slice n of pose k covers, in [0, 1]; an all-zero
-        mask where a slice misses the tile. NumPy results hold no rounding noise: shares below
-        1e-10 are 0. Differentiable ones may stray from [0, 1] by some 1e-13 (float64).
+        mask where a slice misses the tile. NumPy results hold no rounding noise: shares within
+        1e-10 of 0 or 1 are 0 or 1. Differentiable ones may stray from [0, 1] by some 1e-13
+        (float64).
 
     Raises
     ------
@@ -93,9 +93,10 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
 
 
 def tidy(fractions: Any) -> Any:
-    """Take rounding noise out of fractions, in place: NEGLIGIBLE shares to 0, no more than 1."""
-    fractions[fractions < NEGLIGIBLE] = 0.0
-    return np.minimum(fractions, 1.0, out=fractions)
+    """Make fractions within rounding noise of 0 or 1 just that, in place."""
+    fractions[fractions < _NEGLIGIBLE] = 0.0
+    fractions[fractions > 1.0 - _NEGLIGIBLE] = 1.0
+    return fractions
 
 
 def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:

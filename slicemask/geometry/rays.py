@@ -85,7 +85,7 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
     pieces = []
     step = max(1, _CACHE_VALUES // (cells + 1) ** 2)
     for start in range(0, u.shape[0], step):
-        some = slice(start, start + step)
+        some = slice(start, min(start + step, u.shape[0]))
         g = row_offset[some, :, None] * xp.minimum(
             xp.maximum(lattice[None, None, :], row_low[some, :, None]), row_high[some, :, None]
         )

@@ -1,5 +1,6 @@
 """The closed form on torch: same values, and gradients through u, v and heading."""
 
+import array_api_strict
 import numpy as np
 import pytest
 
@@ -58,6 +59,13 @@ def test_turning_the_camera_moves_area_from_slice_to_slice():
     r_left = min(0.4 / -np.sin(left), 0.6 / np.cos(left))
     expected = (r_right**2 - r_left**2) / 2 * np.pi / 180
     assert turned[0, 2].item() == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("frustum", FRUSTA)
+def test_nothing_but_the_array_api_standard_is_used(frustum):
+    poses = _poses(40, 2)
+    masks = slice_masks(array_api_strict.asarray(poses), frustum, 9, "rays")
+    assert np.abs(np.asarray(masks) - slice_masks(poses, frustum, 9)).max() <= 1e-9
 
 
 def test_tensors_that_are_no_poses():
