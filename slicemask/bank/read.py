@@ -1,5 +1,7 @@
 """Reading a bank: whole as one CSR matrix, or pose by pose."""
 
+import math
+import reprlib
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slicemask.bank.seal import VERSION, check_seal
-from slicemask.bank.spec import BankSpec
+from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.write import FORMAT
 from slicemask.errors import BankError, BankFormatError, PoseError
 
@@ -19,6 +21,11 @@ if TYPE_CHECKING:
 
 # Up to this many poses, `masks` reads their rows of the index one by one.
 _FEW_POSES = 64
+# What h5py raises at a damaged file.
+_HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
+# The most values of a stored chunk. HDF5 unpacks chunks whole, so this bounds the memory that a
+# bank can ask for by saying so.
+_MOST_CHUNK_VALUES = 1 << 20
 _MASK_OBJECTS: dict[str, type] = {"data": np.float32, "indices": np.int32, "indptr": np.int64}
 
 
@@ -72,7 +79,15 @@ class Bank:
     @cached_property
     def poses(self) -> NDArray[np.float64]:
         """The poses, float64 [K, 3]: u, v, heading_deg. Read on first use and kept."""
-        return self._read("poses")
+        poses = self._read("poses")
+        expected = self.spec.poses
+        if isinstance(expected, PoseDigest):
+            same = PoseDigest.of(poses) == expected
+        else:
+            same = bool((np.abs(poses - expected.poses()) <= 1e-9).all())
+        if not same:
+            raise self._fault("/poses", f"those of the spec, {expected}", "others")
+        return poses
 
     @cached_property
     def index(self) -> NDArray[Any]:
@@ -89,7 +104,7 @@ class Bank:
         from scipy.sparse import csr_matrix
 
         data, indices, indptr = (self._read(f"masks/{name}") for name in _MASK_OBJECTS)
-        self._check_rows(indices, indptr, 0)
+        self._check_rows(data, indices, indptr, 0)
         matrix = csr_matrix((data, indices, indptr), shape=(self.rows, self.spec.cells**2))
         matrix.has_sorted_indices = True
         return matrix
@@ -145,15 +160,17 @@ class Bank:
         stored = slice(int(indptr[0]), int(indptr[-1]))
         if not 0 <= stored.start <= stored.stop <= self.nonzeros:
             raise self._fault("/masks/indptr", "row starts in order", "others")
-        indices = self._read("masks/indices", stored)
-        self._check_rows(indices, indptr, stored.start)
+        data, indices = self._read("masks/data", stored), self._read("masks/indices", stored)
+        self._check_rows(data, indices, indptr, stored.start)
         row = np.repeat(np.arange(len(dense)), np.diff(indptr))
-        dense[row, indices] = self._read("masks/data", stored)
+        dense[row, indices] = data
 
     def _read(self, name: str, some: slice = slice(None)) -> NDArray[Any]:
+        if not self._file:
+            raise BankError(f"{self.path}: was closed; open it again to read /{name}")
         try:
             return np.asarray(self._file[name][some])
-        except (OSError, RuntimeError, KeyError) as error:
+        except _HDF5_ERRORS as error:
             raise BankFormatError(f"{self.path}: /{name} cannot be read: {error}") from error
 
     def _fault(self, name: str, expected: str, found: str) -> BankFormatError:
@@ -161,16 +178,16 @@ class Bank:
 
     def _read_spec(self) -> BankSpec:
         attributes = self._file.attrs
-        for name, expected in (("format", FORMAT), ("version", VERSION)):
+        for name, expected in (("format", FORMAT.encode()), ("version", VERSION)):
             found = attributes.get(name)
             if not np.isscalar(found) or found != expected:
-                raise self._fault(f"attribute {name}", repr(expected), repr(found))
+                raise self._fault(f"attribute {name}", repr(expected), reprlib.repr(found))
         spec = attributes.get("spec")
-        if not isinstance(spec, str):
-            raise self._fault("attribute spec", "JSON text", repr(spec))
+        if not isinstance(spec, bytes):
+            raise self._fault("attribute spec", "JSON as bytes", reprlib.repr(spec))
         try:
-            return BankSpec.from_json(spec)
-        except (BankFormatError, ValueError) as error:
+            return BankSpec.from_json(spec.decode())
+        except (BankFormatError, UnicodeDecodeError) as error:
             raise BankFormatError(f"{self.path}: {error}") from error
 
     def _check_objects(self) -> None:
@@ -187,7 +204,12 @@ class Bank:
         dtypes.update((f"masks/{name}", dtype) for name, dtype in _MASK_OBJECTS.items())
         for name, shape in shapes.items():
             dataset = self._file.get(name)
-            if not isinstance(dataset, h5py.Dataset):
+            # A link to elsewhere would bring in what the seal does not vouch for.
+            hard = all(
+                isinstance(self._file.get(part, getlink=True), h5py.HardLink)
+                for part in (name, name.split("/")[0])
+            )
+            if not hard or not isinstance(dataset, h5py.Dataset):
                 raise self._fault(f"/{name}", "a dataset", "none")
             wrong = dataset.ndim != len(shape) or any(
                 size not in (None, found) for size, found in zip(shape, dataset.shape, strict=False)
@@ -201,18 +223,30 @@ class Bank:
                 )
             # A dataset may declare more than the file holds; reading it would ask for that much
             # memory and give zeros.
-            chunks = dataset.chunks and int(
-                np.prod([-(-n // c) for n, c in zip(dataset.shape, dataset.chunks, strict=True)])
-            )
-            stored = dataset.chunks and dataset.id.get_num_chunks()
-            if chunks != stored or dataset.external or dataset.is_virtual:
-                raise self._fault(f"/{name}", f"{chunks} stored chunks", str(stored))
+            chunk = dataset.chunks
+            if (
+                chunk is None
+                or math.prod(chunk) > _MOST_CHUNK_VALUES
+                or not dataset.fletcher32
+                or dataset.external
+                or dataset.is_virtual
+            ):
+                raise self._fault(
+                    f"/{name}",
+                    f"chunks of at most {_MOST_CHUNK_VALUES:,} values with Fletcher-32 checksums",
+                    "another layout" if chunk is None else f"chunks {list(chunk)}",
+                )
+            chunks = math.prod(-(-n // c) for n, c in zip(dataset.shape, chunk, strict=True))
+            if dataset.id.get_num_chunks() != chunks:
+                raise self._fault(
+                    f"/{name}", f"{chunks} stored chunks", str(dataset.id.get_num_chunks())
+                )
         self.rows = len(self._file["masks/indptr"]) - 1
         self.nonzeros = len(self._file["masks/data"])
         declared = self._file["masks"].attrs.get("shape")
         if np.shape(declared) != (2,) or list(declared) != [self.rows, cells * cells]:
             raise self._fault(
-                "/masks attribute shape", str([self.rows, cells * cells]), repr(declared)
+                "/masks attribute shape", str([self.rows, cells * cells]), reprlib.repr(declared)
             )
         if len(self._file["masks/indices"]) != self.nonzeros:
             raise self._fault(
@@ -223,13 +257,19 @@ class Bank:
             raise self._fault("/masks/indptr", f"0 to {self.nonzeros}", "others")
 
     def _check_rows(
-        self, indices: NDArray[np.int32], indptr: NDArray[np.int64], start: int
+        self,
+        data: NDArray[np.float32],
+        indices: NDArray[np.int32],
+        indptr: NDArray[np.int64],
+        start: int,
     ) -> None:
-        """Check that rows' starts are in order and their cells in the tile and ascending."""
+        """Check rows: starts in order, cells in the tile and ascending, fractions in (0, 1]."""
         if (np.diff(indptr) < 0).any() or int(indptr[-1]) - start != len(indices):
             raise self._fault("/masks/indptr", "row starts in order", "others")
         if len(indices) == 0:
             return
+        if not ((data > 0.0) & (data <= 1.0)).all():
+            raise self._fault("/masks/data", "fractions above 0 and up to 1", "others")
         ascending = np.diff(indices) > 0
         row_starts = indptr[1:-1] - start
         ascending[row_starts[(row_starts > 0) & (row_starts < len(indices))] - 1] = True
@@ -268,14 +308,16 @@ def open_bank(path: str | Path, check: bool = True) -> Bank:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():
+            raise BankError(f"{path}: is a folder or no plain file; name a bank")
         if check:
             check_seal(path)
         return Bank(path)
     except FileNotFoundError:
         raise BankError(f"{path}: there is no such bank") from None
-    except IsADirectoryError:
-        raise BankError(f"{path}: is a folder; name a bank in it") from None
+    except PermissionError:
+        raise BankError(f"{path}: may not be read") from None
     except BankError:
         raise
-    except (OSError, RuntimeError) as error:
-        raise BankError(f"{path}: cannot be opened: {error}") from error
+    except _HDF5_ERRORS as error:
+        raise BankFormatError(f"{path}: cannot be read as a bank: {error}") from error

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import math
+import re
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -21,13 +23,24 @@ class PoseDigest:
     Parameters
     ----------
     count : int
-        Number of poses K.
+        Number of poses K, at least 1.
     sha256 : str
         SHA-256 of the poses as little-endian float64 [K, 3], in hexadecimal.
+
+    Raises
+    ------
+    SpecError
+        If a value cannot be.
     """
 
     count: int
     sha256: str
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.count, int) and 1 <= self.count < 2**31):
+            raise SpecError(f"the count of poses is {self.count!r}; it must be 1 to 2^31 - 1")
+        if not (isinstance(self.sha256, str) and re.fullmatch("[0-9a-f]{64}", self.sha256)):
+            raise SpecError(f"sha256 is {self.sha256!r}; it must be 64 hexadecimal digits")
 
     @classmethod
     def of(cls, poses: NDArray[np.float64]) -> "PoseDigest":
@@ -73,12 +86,16 @@ class BankSpec:
     def __post_init__(self) -> None:
         object.__setattr__(self, "cells", check_cells(self.cells))
         check_engine(self.engine)
-        if len(self.poses) * self.frustum.slices >= 2**31:
+        # The product of the shape, since a length beyond 63 bits is an error of Python's.
+        count = math.prod(self.grid.shape) if self.grid is not None else len(self.poses)
+        masks = count * self.frustum.slices
+        if masks >= 2**31:
             raise SpecError(
-                f"{self.poses} with {self.frustum.slices} slices make "
-                f"{len(self.poses) * self.frustum.slices:,} masks; a bank numbers them with 31 "
-                "bits: choose fewer poses or slices"
+                f"{self.poses} with {self.frustum.slices} slices make {masks:,} masks; a bank "
+                "numbers them with 31 bits: choose fewer poses or slices"
             )
+        if not all(isinstance(text, str) for pair in self.versions.items() for text in pair):
+            raise SpecError(f"versions are {self.versions!r}; they must be text by name")
 
     @property
     def grid(self) -> PoseGrid | None:
@@ -110,7 +127,14 @@ class BankSpec:
             else:
                 poses = PoseDigest(**content.pop("poses"))
             return cls(poses=poses, frustum=Frustum(**content.pop("frustum")), **content)
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        except (
+            ValueError,
+            TypeError,
+            KeyError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+        ) as error:
             raise BankFormatError(f"the spec cannot be read ({error})") from error
 
     def name(self) -> str:

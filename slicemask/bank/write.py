@@ -103,9 +103,10 @@ class BankWriter:
             self._sink, "w", userblock_size=SEAL_BYTES, libver=_LAYOUT, locking=False
         )
         self._open.callback(self._file.close)
-        self._file.attrs["format"] = FORMAT
+        # A bytes attribute, unlike a str, lies where HDF5 keeps a checksum.
+        self._file.attrs["format"] = np.bytes_(FORMAT)
         self._file.attrs["version"] = VERSION
-        self._file.attrs["spec"] = self.spec.to_json()
+        self._file.attrs["spec"] = np.bytes_(self.spec.to_json())
         group = self._file.create_group("masks")
         group.attrs["encoding-type"] = "csr_matrix"
         group.attrs["encoding-version"] = "0.1.0"
