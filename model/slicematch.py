@@ -65,6 +65,10 @@ class SliceMatch(nn.Module):
         self.ground_aggregator = GroundAggregator(self.channels, slices)
         self.aerial_attention = AerialAttention(self.channels, cross_view_attention)
 
+    def forward(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
+        """Images [B, 3, height, width] and [B, 3, A, A] to scores [B, K] of K candidates."""
+        return self.score(self.encode_ground(ground), self.encode_aerial(aerial), candidates)
+
     def encode_ground(self, images: Tensor) -> Tensor:
         """Ground images [B, 3, height, width] to unit descriptors d_g^n [B, N, C]."""
         return self.ground_aggregator(self.ground_encoder(images))

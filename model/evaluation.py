@@ -1,0 +1,269 @@
+"""Errors of a trained run on a part of its data set, as numbers, tables and pictures."""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from model.data import BadSamples, PoseDataset, collate, denormalise
+from model.drawing import draw_errors, draw_estimate, save_figure
+from model.errors import RunError
+from model.localizer import Localizer
+from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
+from model.runs import Checkpoint
+from model.scoring import Candidates, heat_map
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of one run on n samples.
+
+    Attributes
+    ----------
+    settings : dict
+        What was evaluated: run, checkpoint, data, split, part, grid, priors.
+    names : list of str
+        Of the samples.
+    truths, estimates : float64 [n, 3]
+        u, v, heading_deg. The true headings are the ones that the data set drew from its seed.
+    scores : float64 [n]
+        Of the estimates.
+    tile_metres : float64 [n]
+        Side of each tile on the ground.
+    errors : PoseErrors
+        Of the estimates.
+    floor : Floor
+        What the candidates alone cost on these samples.
+    outside : int
+        True places outside the grid's extent, where no candidate can find them.
+    bad_samples : dict
+        Samples that could not be read, with what is wrong.
+    """
+
+    settings: dict[str, Any]
+    names: list[str]
+    truths: NDArray[np.float64]
+    estimates: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    tile_metres: NDArray[np.float64]
+    errors: PoseErrors
+    floor: Floor
+    outside: int
+    bad_samples: dict[str, str]
+
+    def summary(self) -> dict[str, Any]:
+        """Settings and figures, without the samples."""
+        return {
+            **self.settings,
+            "samples": len(self.names),
+            "bad_samples": self.bad_samples,
+            "labels_outside_the_grid": self.outside,
+            "errors": self.errors.summary(),
+            "floor": self.floor.summary(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a sample: name, truth, estimate, score and errors."""
+        errors = asdict(self.errors)
+        return [
+            {
+                "name": name,
+                **_named("true_", self.truths[n]),
+                **_named("", self.estimates[n]),
+                "score": float(self.scores[n]),
+                "tile_metres": float(self.tile_metres[n]),
+                **{f"error_{kind}": float(values[n]) for kind, values in errors.items()},
+            }
+            for n, name in enumerate(self.names)
+        ]
+
+
+def evaluate(
+    run: str | Path,
+    *,
+    grid: str | None = None,
+    bank: str | Path | None = None,
+    split: str | None = None,
+    part: str = "test",
+    root: str | None = None,
+    checkpoint: Checkpoint = "best",
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    device: str = "auto",
+    workers: int | None = None,
+    cache: str | Path | None = None,
+    progress: Progress | None = None,
+) -> tuple[Evaluation, Path]:
+    """Evaluate a run and write its results.
+
+    Parameters
+    ----------
+    run : path
+        A run folder.
+    grid : str, optional
+        Candidates such as "21x21x64"; the run's test grid by default.
+    bank : path, optional
+        A bank of candidates instead.
+    split : {"same-area", "cross-area"}, optional
+        The run's own by default.
+    part : {"test", "validation", "train"}
+        Part of the data set.
+    root : str, optional
+        Where the data lie, if not where they lay in training.
+    checkpoint : {"best", "last"}
+        Which weights.
+    out : path, optional
+        Folder of the results; by default one in the run folder that is named after what was
+        evaluated.
+    overwrite : bool
+        Replace results that are there.
+    device : str
+        "auto", "cpu", "cuda", ...
+    workers : int, optional
+        Processes that load images; the run's own number by default.
+    cache : path, optional
+        The folder of banks.
+    progress : callable, optional
+        Called with (samples done, samples in all).
+
+    Returns
+    -------
+    evaluation : Evaluation
+        The results.
+    folder : Path
+        With ``result.json`` (everything), ``samples.csv``, ``errors.png`` and ``best.png``,
+        ``median.png`` and ``worst.png`` (by distance from the true place).
+
+    Raises
+    ------
+    RunError
+        If the run cannot be loaded, or the results are there already.
+    ConfigError, DatasetError
+        If the request does not fit the run or its data.
+    """
+    localizer = Localizer.load(
+        run, bank, grid=grid, checkpoint=checkpoint, device=device, cache=cache
+    )
+    config = localizer.config
+    split = split or config.split
+    dataset = config.dataset(part, root, split)
+    name = f"{split}_{part}_{localizer.grid}_{checkpoint}"
+    folder = Path(out) if out is not None else Path(run) / "evaluation" / name
+    if (folder / "result.json").exists() and not overwrite:
+        raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
+    dataset.bad_samples = BadSamples(folder / "bad_samples.jsonl", config.bad_samples)
+
+    settings = {
+        "run": str(run),
+        "checkpoint": checkpoint,
+        "data": config.data,
+        "split": split,
+        "part": part,
+        "grid": str(localizer.grid),
+        "extent": localizer.grid.extent,
+        "places": localizer.grid.places,
+        "heading_prior_deg": config.heading_prior(),
+        "place_prior": config.place_prior,
+        "seed": config.seed,
+    }
+    workers = config.workers if workers is None else workers
+    evaluation = _measure(settings, localizer, dataset, workers, progress)
+    _write(evaluation, folder)
+    _draw(evaluation, localizer, dataset, folder)
+    return evaluation, folder
+
+
+def _measure(
+    settings: dict[str, Any],
+    localizer: Localizer,
+    dataset: PoseDataset,
+    workers: int,
+    progress: Progress | None,
+) -> Evaluation:
+    """Estimate every sample's pose."""
+    candidates = localizer.within()
+    loader = DataLoader(
+        dataset, localizer.config.batch_size, num_workers=workers, collate_fn=collate
+    )
+    read: list[int] = []
+    best: list[Tensor] = []
+    scores: list[Tensor] = []
+    for number, batch in enumerate(loader, start=1):
+        if batch is not None:
+            found = _scores(localizer, batch["ground"], batch["aerial"], candidates).max(dim=1)
+            read += batch["index"].tolist()
+            best.append(found.indices.cpu())
+            scores.append(found.values.cpu())
+        if progress is not None:
+            progress(min(number * localizer.config.batch_size, len(dataset)), len(dataset))
+    bad_samples = dataset.bad_samples.entries()
+    if not read:
+        raise RunError(f"none of the {len(dataset)} samples can be read: {bad_samples}")
+    estimates = candidates.poses[torch.cat(best).numpy()]
+    truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
+    return Evaluation(
+        settings=settings,
+        names=[dataset.names[index] for index in read],
+        truths=truths,
+        estimates=estimates,
+        scores=torch.cat(scores).double().numpy(),
+        tile_metres=tile_metres,
+        errors=pose_errors(estimates, truths, tile_metres),
+        floor=candidate_floor(candidates.poses, truths, tile_metres),
+        outside=dataset.count_outside(localizer.grid.extent),
+        bad_samples=bad_samples,
+    )
+
+
+def _write(evaluation: Evaluation, folder: Path) -> None:
+    rows = evaluation.rows()
+    with (folder / "samples.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    content = json.dumps({**evaluation.summary(), "per_sample": rows}, indent=1)
+    (folder / "result.json").write_text(content + "\n", encoding="utf-8")
+
+
+def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, folder: Path) -> None:
+    save_figure(draw_errors(evaluation.errors, evaluation.floor), folder / "errors.png")
+    order = np.argsort(evaluation.errors.place_m, kind="stable")
+    cases = {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
+    index_of = {name: index for index, name in enumerate(dataset.names)}
+    candidates = localizer.within()
+    for case, n in cases.items():
+        name = evaluation.names[n]
+        sample = dataset[index_of[name]]
+        scores = _scores(localizer, sample["ground"][None], sample["aerial"][None], candidates)
+        place_m, heading_deg = evaluation.errors.place_m[n], evaluation.errors.heading_deg[n]
+        figure = draw_estimate(
+            denormalise(sample["aerial"]),
+            heat_map(candidates.on_grid(scores))[0].cpu().numpy(),
+            localizer.grid,
+            evaluation.estimates[n],
+            localizer.frustum,
+            truth=evaluation.truths[n],
+            title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
+        )
+        save_figure(figure, folder / f"{case}.png")
+
+
+def _scores(localizer: Localizer, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
+    """Scores [B, K] of normalised images, without gradients."""
+    with torch.no_grad():
+        return localizer.model(ground.to(localizer.device), aerial.to(localizer.device), candidates)
+
+
+def _named(prefix: str, pose: NDArray[np.float64]) -> dict[str, float]:
+    names = ("u", "v", "heading_deg")
+    return {prefix + name: float(value) for name, value in zip(names, pose, strict=True)}

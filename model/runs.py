@@ -1,0 +1,160 @@
+"""A run folder: what training leaves behind, and all that evaluation and prediction need.
+
+``config.yaml``
+    The settings, complete (`model.config.TrainConfig`).
+``metrics.jsonl``
+    One line of JSON an epoch.
+``checkpoints/best.ckpt``, ``checkpoints/last.ckpt``
+    Weights, and in the last one everything that resuming takes. Both are read with torch's
+    ``weights_only=True``, so that opening a run from elsewhere runs nothing that it holds.
+``tensorboard/``, ``heat_maps/``, ``bad_samples.jsonl``, ``evaluation/``
+    Curves, an example of each epoch, unreadable samples, and results.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from model.config import TrainConfig
+from model.errors import ConfigError, RunError
+from model.slicematch import SliceMatch
+
+Checkpoint = Literal["best", "last"]
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The names of a run's files; see this module's text.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    """
+
+    path: Path
+
+    @property
+    def config_file(self) -> Path:
+        """The settings."""
+        return self.path / "config.yaml"
+
+    @property
+    def metrics_file(self) -> Path:
+        """The metrics of each epoch."""
+        return self.path / "metrics.jsonl"
+
+    @property
+    def bad_samples_file(self) -> Path:
+        """Samples that could not be read in training."""
+        return self.path / "bad_samples.jsonl"
+
+    def checkpoint(self, which: str) -> Path:
+        """The checkpoint "best" or "last"."""
+        return self.path / "checkpoints" / f"{which}.ckpt"
+
+    def load_config(self) -> TrainConfig:
+        """The run's settings.
+
+        Raises
+        ------
+        RunError
+            If the folder is no run.
+        ConfigError
+            If its settings cannot be read.
+        """
+        if not self.config_file.is_file():
+            raise RunError(
+                f"{self.path}: is no run folder, since it has no {self.config_file.name}; name "
+                "one that `slicemask train` wrote"
+            )
+        return TrainConfig.load(self.config_file)
+
+    def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
+        """The run's settings and its model with trained weights, on the CPU, set to evaluate.
+
+        Raises
+        ------
+        RunError
+            If the folder is no run, or the checkpoint is missing, is not safe to read or does
+            not fit the settings.
+        """
+        config = self.load_config()
+        path = self.checkpoint(which)
+        weights = {
+            key.removeprefix("model."): value
+            for key, value in read_checkpoint(path)["state_dict"].items()
+        }
+        model = build_model(config, weights="none")
+        try:
+            model.load_state_dict(weights)
+        except (RuntimeError, TypeError, AttributeError) as error:
+            reason = " ".join(str(error).split())
+            raise RunError(
+                f"{path}: does not fit {self.config_file} ({reason[:200]}); both must come from "
+                "the same run"
+            ) from error
+        return config, model.eval()
+
+
+def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
+    """The model that the settings describe; `weights` replaces what its encoders start from."""
+    return SliceMatch(
+        encoder=config.encoder,
+        weights=config.weights if weights is None else weights,
+        ground_size=config.ground_size,
+        aerial_size=config.aerial_size,
+        stride=config.stride,
+        slices=config.slices,
+        cross_view_attention=config.cross_view_attention,
+    )
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint's plain content; nothing in the file is run.
+
+    Raises
+    ------
+    RunError
+        If it is missing, broken, or holds anything but plain values and tensors.
+    """
+    if not path.is_file():
+        raise RunError(
+            f"{path}: there is no such checkpoint; the run may have stopped before the end of "
+            "its first epoch"
+        )
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a hostile or broken file can provoke nearly anything
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise RunError(
+            f"{path}: is not a checkpoint of plain values and tensors ({reason[:200]}); nothing "
+            "in it was run; take a checkpoint that slicemask wrote"
+        ) from error
+    if not (isinstance(content, dict) and isinstance(content.get("state_dict"), Mapping)):
+        raise RunError(f"{path}: holds no weights; take a checkpoint that slicemask wrote")
+    return content
+
+
+def choose_device(device: str) -> torch.device:
+    """The device of a name; "auto" is CUDA where it is there, else the CPU.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such device.
+    """
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        chosen = torch.device(device)
+        torch.empty(0, device=chosen)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).strip().split("\n")[0]
+        raise ConfigError(
+            f"device {device!r} cannot be used ({reason}); choose auto, cpu or cuda"
+        ) from error
+    return chosen
