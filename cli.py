@@ -1,5 +1,6 @@
 """The slicemask command: parse, call the library once, print."""
 
+import importlib.util
 import json
 import sys
 import time
@@ -340,6 +341,213 @@ def visualize(
     u, v, heading_deg = (float(value) for value in seen.pose)
     content = {"path": str(path), "pose": {"u": u, "v": v, "heading_deg": heading_deg}}
     _print(as_json, content, f"{path}: u {u:.4g}, v {v:.4g}, heading {heading_deg:.4g} degrees")
+
+
+def _check_model_installed() -> None:
+    missing = [
+        name
+        for name in ("torch", "timm", "lightning", "safetensors", "tensorboard", "yaml")
+        if importlib.util.find_spec(name) is None
+    ]
+    if missing:
+        raise click.ClickException(
+            f"this command needs {', '.join(missing)}; install: pip install 'slicemask[model]'"
+        )
+
+
+class _Alpha(click.ParamType):
+    """A number, or K."""
+
+    name = "number|K"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        return value if str(value).upper() == "K" else click.FLOAT.convert(value, param, ctx)
+
+
+def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add an option for each setting of a run, named as in `model.config.TrainConfig`.
+
+    None has a default here: what is not given comes from --config, the run, or the paper.
+    """
+    same_or_cross = click.Choice(["same-area", "cross-area"])
+    by_data = "[default: {} for VIGOR, {} for KITTI]".format
+    options: tuple[tuple[str, Any, str], ...] = (
+        ("data", click.Choice(["vigor", "kitti"]), "Format of the data."),
+        ("root", str, "Folder of the data tree."),
+        ("split", same_or_cross, "Where the test part lies.  [default: same-area]"),
+        ("labels", click.Choice(["corrected", "original"]), "Of VIGOR.  [default: corrected]"),
+        ("cities", str, "Only these of VIGOR's cities, parted by commas."),
+        ("splits", str, "Folder of KITTI's split files.  [default: the root]"),
+        ("heading-prior", float, "Known to +- this many degrees; 0 aligned.  [default: any]"),
+        ("place-prior", _Numbers("u,v,radius"), "Only candidates within the radius of (u, v)."),
+        ("extent", _Numbers("u0,v0,u1,v1"), "Part of the tile that the grids fill."),
+        ("train-grid", str, f"Candidates in training.  {by_data('7x7x16', '5x5x16')}"),
+        ("test-grid", str, f"Candidates in testing.  {by_data('21x21x64', '15x15x64')}"),
+        ("encoder", str, "timm backbone.  [default: vgg16]"),
+        ("weights", str, "imagenet, none or a file.  [default: imagenet]"),
+        ("stride", int, "Of the feature maps.  [default: 16]"),
+        (
+            "ground-size",
+            _Numbers("height,width", int),
+            f"Pixels.  {by_data('320,640', '256,1024')}",
+        ),
+        ("aerial-size", int, "Pixels along each side.  [default: 512]"),
+        ("slices", int, "N.  [default: 16]"),
+        ("alpha", _Alpha(), "Weight of the candidates; K is plain infoNCE.  [default: 4]"),
+        ("tau", float, "Temperature of the loss.  [default: 0.1]"),
+        ("learning-rate", float, "Of Adam.  [default: 1e-5]"),
+        ("batch-size", int, "Pairs in a step, on each device.  [default: 4]"),
+        ("epochs", int, "Rounds through the training part.  [default: 30]"),
+        ("validation-fraction", float, "Share that chooses the best checkpoint.  [default: 0.1]"),
+        ("heat-map-every", int, "Epochs between example heat maps.  [default: 1]"),
+        ("bad-samples", int, "Unreadable samples to bear.  [default: 10]"),
+        ("seed", int, "Of all that is random.  [default: 0]"),
+        ("workers", int, "Processes that load images.  [default: 4]"),
+        (
+            "precision",
+            click.Choice(["32-true", "16-mixed", "bf16-mixed"]),
+            "Of the encoders.  [default: 32-true]",
+        ),
+        ("accelerator", str, "auto, cpu, gpu, ...  [default: auto]"),
+        ("devices", int, "How many.  [default: 1]"),
+    )
+    command = click.option(
+        "--cross-view-attention/--no-cross-view-attention",
+        default=None,
+        help="Whether aerial attention sees the ground.  [default: it does]",
+    )(command)
+    for name, kind, text in reversed(options):
+        command = click.option(f"--{name}", type=kind, help=text)(command)
+    return command
+
+
+_run_options = (
+    click.argument("run"),
+    click.option("--grid", metavar="RxCxH", help="Candidates.  [default: the run's test grid]"),
+    click.option("--bank", metavar="FILE", help="A bank of candidates instead."),
+    click.option(
+        "--checkpoint", type=click.Choice(["best", "last"]), default="best", show_default=True
+    ),
+    click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ..."),
+    _cache,
+)
+
+
+def _of_a_run(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add RUN and the options of commands that use one."""
+    for option in reversed(_run_options):
+        command = option(command)
+    return command
+
+
+@main.command()
+@click.option("--config", "config_file", metavar="FILE", help="YAML of settings, named as below.")
+@click.option("--out", metavar="DIR", help="The run folder.  [default: runs/<data>]")
+@click.option("--resume", is_flag=True, help="Go on with the run that is in the folder, if any.")
+@_settings
+@_cache
+@_as_json
+def train(
+    config_file: str | None,
+    out: str | None,
+    resume: bool,
+    cache: str | None,
+    as_json: bool,
+    **settings: Any,
+) -> None:
+    """Train SliceMatch; the paper's settings are the defaults."""
+    _check_model_installed()
+    from model.runs import plan_run
+    from model.training import train
+
+    asked = {name: value for name, value in settings.items() if value is not None}
+    if "heading_prior" in asked:
+        asked["heading_prior_deg"] = asked.pop("heading_prior")
+    if "cities" in asked:
+        asked["cities"] = asked["cities"].split(",")
+    if str(asked.get("alpha")).upper() == "K":
+        asked["alpha"] = None
+    config, folder = plan_run(asked, config_file, out, resume)
+    run = train(config, folder, resume=resume, cache=cache, progress=sys.stderr.isatty())
+    epochs = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    content = {"run": str(run), "epochs": len(epochs), "last_epoch": epochs[-1]}
+    figures = ", ".join(f"{name} {value:.4g}" for name, value in epochs[-1].items() if "/" in name)
+    _print(as_json, content, f"{run}: {len(epochs)} epochs trained ({figures})")
+
+
+@main.command()
+@_of_a_run
+@click.option(
+    "--split",
+    type=click.Choice(["same-area", "cross-area"]),
+    help="Where the part lies.  [default: the run's]",
+)
+@click.option(
+    "--part",
+    type=click.Choice(["test", "validation", "train"]),
+    default="test",
+    show_default=True,
+    help="Part of the data set.",
+)
+@click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
+@click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
+@click.option("--overwrite", is_flag=True, help="Replace results that are there.")
+@click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")
+@_as_json
+def evaluate(run: str, as_json: bool, **options: Any) -> None:
+    """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
+    _check_model_installed()
+    from model.evaluation import evaluate
+
+    with _progress("evaluating", "samples") as progress:
+        evaluation, folder = evaluate(run, progress=progress, **options)
+    text = f"{evaluation.report()}\nresults in {folder}"
+    _print(as_json, {**evaluation.summary(), "folder": str(folder)}, text)
+
+
+@main.command()
+@_of_a_run
+@click.option("--ground", required=True, metavar="IMAGE", help="Panorama or camera image.")
+@click.option("--aerial", required=True, metavar="IMAGE", help="Square aerial tile, north up.")
+@click.option("--metres-per-pixel", type=float, help="Of the aerial tile as it is.")
+@click.option("--heading-prior", type=_Numbers("centre,half_width"), help="In degrees.")
+@click.option("--place-prior", type=_Numbers("u,v,radius"), help="In shares of the tile's side.")
+@click.option("--truth", type=_Numbers("u,v,heading_deg"), help="The true pose, to be drawn.")
+@click.option("--out", metavar="FILE", help="Picture of the heat map and the pose: PNG, SVG, PDF.")
+@_as_json
+def predict(
+    run: str,
+    ground: str,
+    aerial: str,
+    metres_per_pixel: float | None,
+    heading_prior: tuple[float, float] | None,
+    place_prior: tuple[float, float, float] | None,
+    truth: tuple[float, float, float] | None,
+    out: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Find where a ground image was taken, with a trained RUN."""
+    _check_model_installed()
+    from model.localizer import Localizer
+
+    localizer = Localizer.load(run, options.pop("bank"), **options)
+    estimate = localizer.localize(ground, aerial, heading_prior, place_prior)
+    content: dict[str, Any] = estimate.as_dict(metres_per_pixel)
+    if out is not None:
+        from model.drawing import draw_estimate
+        from slicemask.plot import read_aerial, save_figure
+
+        tile, frustum = read_aerial(aerial), localizer.frustum
+        figure = draw_estimate(
+            tile, estimate.heat_map, estimate.grid, estimate.pose, frustum, truth=truth
+        )
+        save_figure(figure, out)
+        content["picture"] = out
+    text = "u {u:.4f}, v {v:.4f}, heading {heading_deg:.2f} degrees, score {score:.4f}"
+    if metres_per_pixel is not None:
+        text += "; {east_m:.2f} m east and {north_m:.2f} m north of the centre"
+    _print(as_json, content, text.format(**content) + (f"\n{out}" if out is not None else ""))
 
 
 if __name__ == "__main__":

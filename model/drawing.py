@@ -1,20 +1,20 @@
-"""Pictures of estimates and of errors. Each function gives a matplotlib figure to save or show."""
-
-from pathlib import Path
+"""Pictures of estimates and of errors, as matplotlib figures (`slicemask.plot.save_figure`)."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
 from model.metrics import Floor, PoseErrors
 from slicemask import Frustum, PoseGrid
+from slicemask.plot import edge_ends
 
 _ESTIMATE, _TRUTH = "#e6007e", "#00b050"
 
 
 def draw_estimate(
-    aerial: NDArray[np.uint8],
+    aerial: NDArray[np.uint8] | Image.Image,
     heat_map: ArrayLike,
     grid: PoseGrid,
     pose: ArrayLike,
@@ -26,7 +26,7 @@ def draw_estimate(
 
     Parameters
     ----------
-    aerial : uint8 [A, A, 3]
+    aerial : uint8 [A, A, 3] or picture
         The tile.
     heat_map : float [rows, columns]
         Best score at each place; places that are not finite are left clear.
@@ -88,11 +88,6 @@ def draw_errors(errors: PoseErrors, floor: Floor) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure to a PNG, SVG or PDF file, by the path's suffix."""
-    figure.savefig(path, dpi=120)
-
-
 def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: str) -> None:
     ordered = np.concatenate([[0.0], np.sort(values)])
     axes.step(ordered, np.arange(len(ordered)) / len(values), where="post", **style)
@@ -100,17 +95,8 @@ def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: str) -> None:
 
 def _draw_slices(axes: Axes, pose: NDArray[np.float64], frustum: Frustum) -> None:
     """The slices' edges, from the camera to the edge of the tile."""
-    u, v, heading_deg = pose
-    azimuth = np.radians(frustum.edges_deg([heading_deg])[0])
-    reach = 1.5  # farther than any corner
-    for left in azimuth:
-        axes.plot(
-            [u, u + reach * np.sin(left)],
-            [v, v - reach * np.cos(left)],
-            color="white",
-            linewidth=0.7,
-            alpha=0.8,
-        )
+    for u, v in edge_ends(pose, frustum.edges_deg(pose[2])):
+        axes.plot([pose[0], u], [pose[1], v], color="white", linewidth=0.8, alpha=0.8)
 
 
 def _draw_camera(axes: Axes, pose: NDArray[np.float64], colour: str, label: str) -> None:

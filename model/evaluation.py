@@ -14,12 +14,13 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from model.data import BadSamples, PoseDataset, collate, denormalise
-from model.drawing import draw_errors, draw_estimate, save_figure
+from model.drawing import draw_errors, draw_estimate
 from model.errors import RunError
 from model.localizer import Localizer
 from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
 from model.runs import Checkpoint
 from model.scoring import Candidates, heat_map
+from slicemask.plot import save_figure
 
 Progress = Callable[[int, int], None]
 
@@ -71,6 +72,30 @@ class Evaluation:
             "errors": self.errors.summary(),
             "floor": self.floor.summary(),
         }
+
+    def report(self) -> str:
+        """The figures as a few lines of text."""
+        errors, floor = self.errors.summary(), self.floor.summary()
+        lines = [
+            f"{len(self.names):,} samples of {self.settings['data']} {self.settings['split']} "
+            f"{self.settings['part']}, candidates {self.settings['grid']}",
+            "           mean      median    floor of the grid (mean, median)",
+        ]
+        for kind, unit in (("place", "m"), ("heading", "deg")):
+            mean, median = (f"{kind}_{figure}_{unit}" for figure in ("mean", "median"))
+            lines.append(
+                f"{kind:<9}{errors[mean]:7.2f} {unit:<3}{errors[median]:7.2f} {unit:<3} "
+                f"{floor[mean]:6.2f} {unit}, {floor[median]:.2f} {unit}"
+            )
+        lines.append("recall     at 1      at 5")
+        for kind, unit in (("lateral", "m"), ("longitudinal", "m"), ("heading", "deg")):
+            one, five = (errors[f"{kind}_recall_{threshold}{unit}"] for threshold in (1, 5))
+            lines.append(f"{kind:<13}{one:6.1%}{five:10.1%}   ({unit})")
+        if self.outside:
+            lines.append(f"{self.outside:,} true places lie outside the grid's extent")
+        if self.bad_samples:
+            lines.append(f"{len(self.bad_samples)} samples could not be read")
+        return "\n".join(lines)
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a sample: name, truth, estimate, score and errors."""

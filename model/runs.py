@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import torch
 
-from model.config import TrainConfig
+from model.config import TrainConfig, read_settings
 from model.errors import ConfigError, RunError
 from model.slicematch import SliceMatch
 
@@ -98,6 +98,38 @@ class RunFolder:
                 "the same run"
             ) from error
         return config, model.eval()
+
+
+def plan_run(
+    settings: Mapping[str, Any],
+    config_file: str | Path | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+) -> tuple[TrainConfig, Path]:
+    """The settings and the folder of a run to train.
+
+    Parameters
+    ----------
+    settings : mapping
+        Settings asked for by name; they go before all others.
+    config_file : path, optional
+        A YAML file of further settings.
+    out : path, optional
+        The run folder; ``runs/<data>`` by default.
+    resume : bool
+        Take what is still open from the run that is in the folder, if there is one.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read or a setting cannot be.
+    """
+    asked = {**(read_settings(config_file) if config_file is not None else {}), **settings}
+    folder = Path(out) if out is not None else Path("runs", str(asked.get("data", "run")))
+    own = RunFolder(folder).config_file
+    if resume and own.is_file():
+        asked = {**read_settings(own), **asked}
+    return TrainConfig.from_dict(asked), folder
 
 
 def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:

@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader, DistributedSampler
 from model import _torchvision  # noqa: F401  before lightning: see there
 from model.config import TrainConfig
 from model.data import BadSamples, PoseDataset, collate, denormalise
-from model.drawing import draw_estimate, save_figure
+from model.drawing import draw_estimate
 from model.errors import ConfigError, RunError
 from model.localizer import load_candidates
 from model.losses import contrastive_loss
@@ -30,6 +30,7 @@ from model.runs import RunFolder, build_model, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks
+from slicemask.plot import save_figure
 
 import lightning.pytorch as lightning  # isort: skip
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar  # isort: skip
