@@ -23,3 +23,7 @@ class BankFormatError(BankError):
 
 class BankExistsError(BankError):
     """The output exists already and holds something else."""
+
+
+class PlotError(SlicemaskError, OSError):
+    """A picture that cannot be read or written."""

@@ -1,0 +1,14 @@
+"""Pictures of slices. Matplotlib is loaded when a picture is drawn, not on import."""
+
+from slicemask.plot.figure import draw_pose, draw_slices, edge_ends, slice_colours
+from slicemask.plot.files import animate_heading, read_aerial, save_figure
+
+__all__ = [
+    "animate_heading",
+    "draw_pose",
+    "draw_slices",
+    "edge_ends",
+    "read_aerial",
+    "save_figure",
+    "slice_colours",
+]

@@ -1,0 +1,424 @@
+"""Drawing the slices of one pose: on the tile, and mask by mask."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+from slicemask.errors import SpecError
+from slicemask.geometry.azimuths import direction
+from slicemask.geometry.frustum import Frustum
+from slicemask.geometry.poses import check_poses
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Pose = Sequence[float] | Array
+Aerial = NDArray[Any] | Image.Image
+
+INK, MUTED, FRAME, PAPER = "#17212b", "#5b6874", "#c9d0d6", "#f1f3f5"
+# A wheel of hues, so that the last slice of a panorama goes over into the first.
+_WHEEL = (
+    "#3f74d1", "#7d5fd3", "#b954b6", "#e0527c", "#e9683f", "#f0932b",
+    "#ecc02f", "#a3bf3f", "#4fae62", "#22a3a0", "#3596d3",
+)  # fmt: skip
+# Room around the tile for slice numbers, as a share of its side.
+MARGIN = 0.075
+_ARROW = 0.13  # length of the heading's arrow, as a share of the tile's side
+_TILE_OPACITY = 0.47  # of the slices on an aerial tile, which is to be seen through them
+_MOST_LINES = 65  # more cells than this along a side are drawn without lines between them
+_MOST_PIXELS = 2048  # of an aerial tile along a side; no picture shows more
+
+# The layout of `draw_pose`, in inches.
+_LEFT, _BETWEEN, _RIGHT, _TOP, _BOTTOM = 0.8, 0.6, 0.85, 1.02, 0.72
+_SMALLEST_TILE, _LARGEST_TILE, _PITCH = 4.4, 9.6, 0.8
+_BAR_GAP, _BAR_WIDTH = 0.2, 0.13
+
+
+def slice_colours(slices: int) -> Array:
+    """Colours of slices 0..N-1, float64 [N, 3] of red, green, blue in [0, 1].
+
+    Hues run once around a wheel, since slices run around the camera; where there are many, every
+    other one is lighter, so that neighbours differ.
+    """
+    from matplotlib.colors import LinearSegmentedColormap
+
+    wheel = LinearSegmentedColormap.from_list("slices", [*_WHEEL, _WHEEL[0]])
+    number = np.arange(slices)
+    colours = wheel(number / slices)[:, :3]
+    if slices <= 8:
+        return np.asarray(colours)
+    lighter = np.where(number % 2 == 1, 0.36, 0.0)
+    if slices % 2 == 1:  # slice 0 is a neighbour of the last one
+        lighter[-1] = 0.18
+    return np.asarray(colours + lighter[:, None] * (1.0 - colours))
+
+
+def edge_ends(pose: Pose, azimuth_deg: ArrayLike) -> Array:
+    """Where rays from the camera leave the tile.
+
+    Parameters
+    ----------
+    pose : array [3]
+        u, v, heading_deg; the heading is not used.
+    azimuth_deg : array [E]
+        Azimuths of the rays, degrees clockwise from north.
+
+    Returns
+    -------
+    ends : float64 [E, 2]
+        u, v of the tile's border, in the aerial frame; the camera itself for a ray that leaves
+        the tile at once.
+
+    Raises
+    ------
+    PoseError
+        If the pose lies outside the tile or is not finite.
+
+    Examples
+    --------
+    >>> edge_ends((0.5, 0.75, 0.0), [0.0, 45.0, 90.0]).tolist()
+    [[0.5, 0.0], [1.0, 0.25], [1.0, 0.75]]
+    """
+    camera = check_pose(pose)[:2]
+    rays = np.stack(direction(np.asarray(azimuth_deg, dtype=np.float64), np), axis=-1)
+    room = np.where(rays > 0.0, 1.0 - camera, camera)
+    steps = np.where(rays == 0.0, np.inf, room / np.where(rays == 0.0, 1.0, np.abs(rays)))
+    ends = camera + rays * steps.min(axis=-1, keepdims=True)
+    return np.asarray(np.clip(ends, 0.0, 1.0))
+
+
+def draw_pose(
+    masks: ArrayLike,
+    pose: Pose,
+    frustum: Frustum,
+    *,
+    aerial: Aerial | None = None,
+    title: str | None = None,
+) -> "Figure":
+    """Draw the slices of a pose on the tile, and beside it the mask of each.
+
+    Parameters
+    ----------
+    masks : array [N, L, L]
+        The pose's slice masks, from a bank or from `slicemask.slice_masks`.
+    pose : array [3]
+        u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
+    frustum : Frustum
+        Field of view and its N slices.
+    aerial : array [S, S, 3] or picture, optional
+        The aerial tile, north up: bytes, or floating point in [0, 1]. Without it, the cells are
+        drawn on a plain ground.
+    title : str, optional
+        Replaces the first line.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        Bound to no window. It grows with N beyond 25 slices.
+
+    Raises
+    ------
+    SpecError
+        If the masks are not [N, L, L] with the frustum's N, or the tile is no square picture.
+    PoseError
+        If the pose lies outside the tile or is not finite.
+    """
+    from matplotlib.figure import Figure
+
+    masks = _check_masks(masks, frustum)
+    u, v, heading_deg = (float(value) for value in check_pose(pose))
+    cells = masks.shape[-1]
+    rows = math.ceil(math.sqrt(frustum.slices))
+    columns = math.ceil(frustum.slices / rows)
+    tile = min(max(_SMALLEST_TILE, rows * _PITCH), _LARGEST_TILE)
+    gap = min(0.19, 0.25 * tile / rows)  # above each mask, for its number
+    side = (tile + gap) / rows - gap
+    block = columns * side + (columns - 1) * gap * 0.7
+    whole = tile * (1.0 + 2.0 * MARGIN)
+    width = _LEFT + whole + _BETWEEN + block + _BAR_GAP + _BAR_WIDTH + _RIGHT
+    height = _BOTTOM + whole + _TOP
+    figure = Figure(figsize=(width, height), facecolor="white")
+
+    def place(left: float, bottom: float, wide: float, high: float) -> "Axes":
+        return figure.add_axes((left / width, bottom / height, wide / width, high / height))
+
+    def write(left: float, bottom: float, text: str, **style: Any) -> None:
+        figure.text(left / width, bottom / height, text, parse_math=False, **style)
+
+    draw_slices(place(_LEFT, _BOTTOM, whole, whole), masks, (u, v, heading_deg), frustum, aerial)
+
+    start, foot = _LEFT + whole + _BETWEEN, _BOTTOM + tile * MARGIN
+    image = None
+    for n, colour in enumerate(slice_colours(frustum.slices)):
+        row, column = divmod(n, columns)
+        axes = place(
+            start + column * (side + gap * 0.7),
+            foot + tile + gap - (row + 1) * (side + gap),
+            side,
+            side,
+        )
+        image = _draw_mask(axes, masks[n], colour, str(n) if gap > 0.12 else "")
+        axes.plot(u, v, "o", markersize=3.2, color=colour, markeredgecolor="white", mew=0.5)
+    if image is not None:
+        bar_axes = place(start + block + _BAR_GAP, foot, _BAR_WIDTH, tile)
+        bar = figure.colorbar(image, cax=bar_axes)
+        bar.set_label("fraction of the cell covered", fontsize=9, color=INK)
+        bar.ax.tick_params(labelsize=8, color=FRAME, labelcolor=MUTED, length=3)
+        bar.outline.set_edgecolor(FRAME)
+
+    write(
+        _LEFT,
+        height - 0.38,
+        title or "Slice masks of a camera pose",
+        fontsize=14,
+        fontweight="bold",
+        color=INK,
+    )
+    write(_LEFT, height - 0.63, _subtitle(u, v, heading_deg, frustum, cells), fontsize=9, color=INK)
+    caption = _BOTTOM + whole + 0.02
+    ground = "aerial tile" if aerial is not None else "cells of the tile"
+    write(_LEFT, caption, f"The slices on the {ground}", fontsize=9.5, color=MUTED)
+    masks_of = "each slice n" if frustum.slices > 1 else "the slice, n = 0"
+    write(start, caption, f"The mask of {masks_of}", fontsize=9.5, color=MUTED)
+    return figure
+
+
+def draw_slices(
+    axes: "Axes",
+    masks: ArrayLike,
+    pose: Pose,
+    frustum: Frustum,
+    aerial: Aerial | None = None,
+) -> None:
+    """Draw the slices of a pose on axes: the left part of `draw_pose`, with the same parameters.
+
+    Each cell shows the slices' colours, weighted by their fractions, as opaque as the fractions'
+    sum. The rays are the exact edges of the slices, from the camera to the tile's border. Slices
+    are numbered around the border, larger ones first where there is no room for all.
+    """
+    masks = _check_masks(masks, frustum)
+    camera = check_pose(pose)
+    cells = masks.shape[-1]
+    colours = slice_colours(frustum.slices)
+    axes.set(xlim=(-MARGIN, 1.0 + MARGIN), ylim=(1.0 + MARGIN, -MARGIN), aspect="equal")
+    _draw_frame(axes)
+
+    extent = (0.0, 1.0, 1.0, 0.0)
+    if aerial is None:
+        axes.fill((0, 1, 1, 0), (0, 0, 1, 1), color=PAPER, linewidth=0, zorder=0)
+    else:
+        axes.imshow(_square_picture(aerial), extent=extent, zorder=0)
+    opacity = 1.0 if aerial is None else _TILE_OPACITY
+    axes.imshow(_blend(masks, colours, opacity), extent=extent, zorder=1)
+    if cells < _MOST_LINES:
+        at = np.arange(1, cells) / cells
+        style: dict[str, Any] = {"colors": "white", "linewidth": 0.4, "zorder": 2}
+        style["alpha"] = 0.8 if aerial is None else 0.3
+        axes.hlines(at, 0.0, 1.0, **style)
+        axes.vlines(at, 0.0, 1.0, **style)
+    axes.plot((0, 1, 1, 0, 0), (0, 0, 1, 1, 0), color=FRAME, linewidth=0.8, zorder=3)
+
+    _draw_edges(axes, camera, frustum)
+    _draw_numbers(axes, masks, camera, frustum, colours)
+    _draw_camera(axes, camera)
+
+
+def check_pose(pose: Pose) -> Array:
+    """One pose, checked by `check_poses`: float64 [3]."""
+    poses: Any = [pose]
+    return np.asarray(check_poses(poses)[0])
+
+
+def _check_masks(masks: ArrayLike, frustum: Frustum) -> Array:
+    array = np.asarray(masks, dtype=np.float64)
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or len(array) != frustum.slices:
+        raise SpecError(
+            f"masks have shape {list(array.shape)}; they must be [N, L, L] with the frustum's "
+            f"N = {frustum.slices} slices"
+        )
+    return array
+
+
+def _square_picture(aerial: Aerial) -> Image.Image:
+    """The tile as an RGB picture, no larger than can be seen."""
+    if not isinstance(aerial, Image.Image):
+        pixels = np.asarray(aerial)
+        if pixels.ndim != 3 or pixels.shape[2] != 3:
+            raise SpecError(
+                f"the aerial tile has shape {list(pixels.shape)}; it must be [S, S, 3]: red, "
+                "green, blue"
+            )
+        if pixels.dtype != np.uint8:
+            pixels = np.round(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
+        aerial = Image.fromarray(pixels)
+    check_square(aerial)
+    picture = aerial.convert("RGB")
+    picture.thumbnail((_MOST_PIXELS, _MOST_PIXELS))
+    return picture
+
+
+def check_square(picture: Image.Image) -> None:
+    """Raise SpecError unless the picture is a square."""
+    if picture.width != picture.height:
+        raise SpecError(
+            f"the aerial tile is {picture.width} x {picture.height} pixels; it must be a square: "
+            "cut it to one around the same centre"
+        )
+
+
+def _blend(masks: Array, colours: Array, opacity: float) -> Array:
+    """Cells in their slices' colours: float64 [L, L, 4], colours weighted by the fractions."""
+    covered = masks.sum(axis=0)
+    colour = np.einsum("nij,nc->ijc", masks, colours) / np.maximum(covered, 1e-12)[..., None]
+    return np.dstack([np.clip(colour, 0.0, 1.0), opacity * np.clip(covered, 0.0, 1.0)])
+
+
+def _draw_frame(axes: "Axes") -> None:
+    """Axes in the aerial frame, set off from the tile, and an arrow to the north."""
+    for name, spine in axes.spines.items():
+        spine.set(visible=name in ("left", "bottom"), color=FRAME)
+        spine.set_bounds(0.0, 1.0)
+    ticks = (0.0, 0.25, 0.5, 0.75, 1.0)
+    axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
+    axes.set_yticks(ticks, [f"{at:g}" for at in ticks])
+    axes.tick_params(labelsize=8, color=FRAME, labelcolor=MUTED, length=3)
+    axes.set_xlabel("u (east)", fontsize=9, color=INK)
+    axes.set_ylabel("v (south)", fontsize=9, color=INK)
+    axes.annotate(
+        "N",
+        xy=(1.0 + 1.3 * MARGIN, 0.09),
+        xytext=(1.0 + 1.3 * MARGIN, -0.6 * MARGIN),
+        ha="center",
+        va="center",
+        fontsize=8.5,
+        fontweight="bold",
+        color=INK,
+        annotation_clip=False,
+        arrowprops={"arrowstyle": "<|-", "color": INK, "linewidth": 1.1, "shrinkA": 2},
+    )
+
+
+def _draw_edges(axes: "Axes", pose: Array, frustum: Frustum) -> None:
+    """The N + 1 exact edges; those that bound the field of view are heavier."""
+    from matplotlib.patheffects import withStroke
+
+    ends = edge_ends(pose, frustum.edges_deg(pose[2]))
+    inner_width = 0.8 if frustum.slices <= 24 else 0.5
+    for number, (u, v) in enumerate(ends):
+        outer = frustum.hfov_deg < 360.0 and number in (0, frustum.slices)
+        width = 1.7 if outer else inner_width
+        axes.plot(
+            (pose[0], u),
+            (pose[1], v),
+            color=INK,
+            linewidth=width,
+            solid_capstyle="round",
+            path_effects=[
+                withStroke(linewidth=3.2 if outer else 1.0 + inner_width, foreground="#ffffffb0")
+            ],
+            zorder=4,
+            clip_on=False,
+        )
+
+
+def _draw_numbers(
+    axes: "Axes", masks: Array, pose: Array, frustum: Frustum, colours: Array
+) -> None:
+    """Number the slices beside the part of the tile's border that they reach."""
+    edges_deg = frustum.edges_deg(pose[2])
+    figure = cast("Figure", axes.get_figure(root=True))
+    inches = axes.get_position().width * figure.get_figwidth()
+    tile_points = 72.0 * inches / (1.0 + 2.0 * MARGIN)
+    room = (4.0 + 5.5 * len(str(frustum.slices - 1))) / tile_points
+    placed: list[Array] = []
+    for n in np.argsort(-masks.sum(axis=(1, 2)), kind="stable"):
+        across = edge_ends(pose, np.linspace(edges_deg[n], edges_deg[n + 1], 65)[1:-1])
+        seen = np.flatnonzero(np.linalg.norm(across - pose[:2], axis=1) > 1e-3)
+        if len(seen) == 0:
+            continue  # it looks out of the tile
+        at = 0.5 + (across[seen[len(seen) // 2]] - 0.5) * (1.0 + MARGIN)
+        if any(np.linalg.norm(at - other) < room for other in placed):
+            continue
+        placed.append(at)
+        axes.text(
+            at[0],
+            at[1],
+            str(n),
+            ha="center",
+            va="center_baseline",
+            fontsize=8.5,
+            fontweight="bold",
+            color=tuple(0.72 * colours[n]),
+            zorder=5,
+        )
+
+
+def _draw_camera(axes: "Axes", pose: Array) -> None:
+    """The camera, and an arrow along its heading."""
+    from matplotlib.patheffects import withStroke
+
+    # The arrow stays within the margin, clear of the axes, where the camera looks out of the tile.
+    framed = (pose[:2] + MARGIN) / (1.0 + 2.0 * MARGIN)
+    ahead = (edge_ends((*framed, 0.0), pose[2]) - framed) * (1.0 + 2.0 * MARGIN)
+    tip = pose[:2] + ahead * min(1.0, _ARROW / math.hypot(*ahead))
+    arrow = axes.annotate(
+        "",
+        xy=(tip[0], tip[1]),
+        xytext=(pose[0], pose[1]),
+        annotation_clip=False,
+        arrowprops={
+            "arrowstyle": "-|>,head_width=0.32,head_length=0.6",
+            "color": INK,
+            "linewidth": 2.4,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        },
+        zorder=6,
+    )
+    if arrow.arrow_patch is not None:
+        arrow.arrow_patch.set_path_effects([withStroke(linewidth=4.6, foreground="white")])
+    axes.plot(
+        pose[0],
+        pose[1],
+        "o",
+        markersize=8,
+        markerfacecolor="white",
+        markeredgecolor=INK,
+        markeredgewidth=2.0,
+        clip_on=False,
+        zorder=7,
+    )
+
+
+def _draw_mask(axes: "Axes", mask: Array, colour: Array, number: str) -> Any:
+    """One mask, framed with its slice's colour; the image, for the colour bar."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    shades = LinearSegmentedColormap.from_list("fraction", [PAPER, "#8c98a4", INK])
+    image = axes.imshow(mask, cmap=shades, vmin=0.0, vmax=1.0, extent=(0.0, 1.0, 1.0, 0.0))
+    axes.set(xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set(color=tuple(colour), linewidth=1.6)
+    axes.set_title(
+        number, loc="left", fontsize=8, fontweight="bold", color=tuple(0.72 * colour), pad=2.5
+    )
+    if not mask.any():
+        axes.text(0.5, 0.5, "empty", ha="center", va="center", fontsize=7, color=MUTED)
+    return image
+
+
+def _subtitle(u: float, v: float, heading_deg: float, frustum: Frustum, cells: int) -> str:
+    return "   ·   ".join(
+        [
+            f"camera at u = {u:.4g}, v = {v:.4g}, heading {heading_deg:.5g}°",
+            f"HFoV {frustum.hfov_deg:.5g}°, {frustum.projection}",
+            f"N = {frustum.slices} {'slice' if frustum.slices == 1 else 'slices'}",
+            f"{cells} x {cells} cells",
+        ]
+    )

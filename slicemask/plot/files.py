@@ -1,0 +1,242 @@
+"""Picture files: aerial tiles read, figures and animations written whole or not at all."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image, ImageOps
+from PIL.ImageColor import getrgb
+
+from slicemask.errors import PlotError, SpecError
+from slicemask.geometry.frustum import Frustum
+from slicemask.geometry.masks import Engine, slice_masks
+from slicemask.plot.figure import INK, MUTED, Aerial, Pose, check_pose, check_square, draw_slices
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+_DOTS_PER_INCH = 160
+# Frames of an animation: their size in inches, pixels to the inch, and colours. They keep the file
+# to some 3 MB on any tile; many slices change more with each frame, and get smaller ones.
+_FRAME_SIZE, _FRAME_DOTS, _MOST_SLICES_AT_FULL_SIZE = (4.6, 4.9), 100, 16
+_FRAME_COLOURS = 128
+_TURN_SECONDS = 7.2
+
+
+def read_aerial(path: str | Path) -> Image.Image:
+    """Read an aerial tile: an RGB picture of any square size, north up.
+
+    Raises
+    ------
+    PlotError
+        If the file is missing, no picture that can be read, or not of 8 bits a channel.
+    SpecError
+        If the picture is no square.
+    """
+    path = Path(path)
+    try:
+        with Image.open(path) as opened:
+            if opened.mode.startswith(("I", "F")):
+                raise PlotError(
+                    f"{path}: has pixels of kind {opened.mode}; an aerial tile must have 8 bits a "
+                    "channel: convert it"
+                )
+            picture = opened.convert("RGB")
+    except PlotError:
+        raise
+    except FileNotFoundError:
+        raise PlotError(f"{path}: there is no such file; name a picture, north up") from None
+    except IsADirectoryError:
+        raise PlotError(f"{path}: is a folder; name a picture, north up") from None
+    except PermissionError:
+        raise PlotError(f"{path}: may not be read; change its permissions") from None
+    except Exception as error:  # Pillow's readers raise errors of any kind on a broken file
+        raise PlotError(
+            f"{path}: cannot be read as a picture (PNG, JPEG, TIFF or another that Pillow knows); "
+            "it may be cut short or altered"
+        ) from error
+    try:
+        check_square(picture)
+    except SpecError as error:
+        raise SpecError(f"{path}: {error}") from None
+    return picture
+
+
+def save_figure(figure: "Figure", path: str | Path) -> None:
+    """Write a figure as PNG, SVG or PDF, by the path's suffix; a file already there is replaced.
+
+    The same figure gives the same bytes, for the same versions of Matplotlib.
+
+    Raises
+    ------
+    PlotError
+        If the suffix is another, or the file cannot be written; nothing is left behind.
+    """
+    import matplotlib
+
+    path = check_target(path, FIGURE_SUFFIXES)
+    form = path.suffix.lower()[1:]
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form)
+    with _written_whole(path) as partial, matplotlib.rc_context({"svg.hashsalt": "slicemask"}):
+        figure.savefig(partial, format=form, dpi=_DOTS_PER_INCH, metadata=metadata)
+
+
+def animate_heading(
+    pose: Pose,
+    frustum: Frustum,
+    cells: int,
+    path: str | Path,
+    *,
+    aerial: Aerial | None = None,
+    frames: int = 72,
+    engine: Engine = "rays",
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a GIF in which the camera turns once around, clockwise from the pose's heading.
+
+    Every frame shows the exact masks of its heading, in the colours and on the axes of
+    `slicemask.plot.draw_slices`.
+
+    Parameters
+    ----------
+    pose : array [3]
+        u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
+    frustum : Frustum
+        Field of view and its slices.
+    cells : int
+        L, the cells along each side of the tile.
+    path : path
+        Where it goes; its suffix must be ``.gif``. A file already there is replaced.
+    aerial : array [S, S, 3] or picture, optional
+        The aerial tile, as for `slicemask.plot.draw_pose`.
+    frames : int
+        How many headings, at least 2; a turn takes 7.2 seconds whatever their number.
+    engine : {"rays", "shapely"}
+        What computes the masks.
+    progress : callable, optional
+        Called with (frames done, frames in all) as the work goes on.
+
+    Raises
+    ------
+    PlotError
+        If the suffix is another, or the file cannot be written; nothing is left behind.
+    SpecError, PoseError
+        If the other arguments cannot be.
+    """
+    path = check_target(path, (".gif",))
+    if not isinstance(frames, int | np.integer) or not 2 <= frames <= 720:
+        raise SpecError(f"frames is {frames!r}; it must be a whole number from 2 to 720")
+    u, v, start_deg = check_pose(pose)
+    headings_deg = (start_deg + np.arange(frames) * 360.0 / frames) % 360.0
+
+    def frame(heading_deg: float) -> Image.Image:
+        masks = slice_masks([[u, v, heading_deg]], frustum, cells, engine)[0]
+        return _frame(masks, np.array([u, v, heading_deg]), frustum, aerial)
+
+    palette = _palette([frame(heading) for heading in headings_deg[:: max(1, frames // 6)]])
+
+    def drawn() -> Iterator[Image.Image]:
+        for done, heading_deg in enumerate(headings_deg, start=1):
+            # One palette and no dithering: what does not change does not flicker.
+            yield frame(heading_deg).quantize(palette=palette, dither=Image.Dither.NONE)
+            if progress:
+                progress(done, frames)
+
+    with _written_whole(path) as partial:
+        pictures = drawn()
+        next(pictures).save(
+            partial,
+            format="GIF",
+            save_all=True,
+            append_images=pictures,
+            duration=round(_TURN_SECONDS * 1000 / frames),
+            loop=0,
+        )
+
+
+def _frame(
+    masks: np.ndarray, pose: np.ndarray, frustum: Frustum, aerial: Aerial | None
+) -> Image.Image:
+    """One frame, in RGB. The layout is fixed, so that nothing but the slices moves."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    smaller = max(1.0, frustum.slices / _MOST_SLICES_AT_FULL_SIZE) ** 0.25
+    figure = Figure(figsize=_FRAME_SIZE, dpi=_FRAME_DOTS / smaller, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    width, height = _FRAME_SIZE
+    axes = figure.add_axes((0.62 / width, 0.5 / height, 3.7 / width, 3.7 / height))
+    draw_slices(axes, masks, pose, frustum, aerial)
+    left = 0.62 / width
+    figure.text(
+        left,
+        1 - 0.27 / height,
+        f"heading {pose[2]:5.1f}°",
+        fontsize=12,
+        fontweight="bold",
+        color=INK,
+    )
+    figure.text(
+        left,
+        1 - 0.49 / height,
+        f"u = {pose[0]:.4g}, v = {pose[1]:.4g}  ·  HFoV {frustum.hfov_deg:.5g}°, "
+        f"{frustum.projection}  ·  N = {frustum.slices}  ·  L = {masks.shape[-1]}",
+        fontsize=7.5,
+        color=MUTED,
+    )
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
+    return Image.fromarray(np.asarray(pixels)).convert("RGB")
+
+
+def _palette(frames: list[Image.Image]) -> Image.Image:
+    """The colours that serve all of some frames, as a picture in them, with exact white and ink."""
+    width, height = frames[0].size
+    montage = Image.new("RGB", (width, height * len(frames)))
+    for number, picture in enumerate(frames):
+        montage.paste(picture, (0, number * height))
+    # Spread over the colours rather than the pixels, so that a slice keeps its colour however
+    # narrow it is. Six bits a channel are told apart: a busy tile would take seconds otherwise.
+    reduced = ImageOps.posterize(montage, 6).quantize(_FRAME_COLOURS, Image.Quantize.MAXCOVERAGE)
+    colours = np.reshape(reduced.getpalette() or [], (-1, 3))
+    for exact in (getrgb("white"), getrgb(INK)):
+        colours[np.abs(colours - exact).sum(axis=1).argmin()] = exact
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours.ravel().tolist())
+    return palette
+
+
+def check_target(path: str | Path, suffixes: tuple[str, ...]) -> Path:
+    """Return the path of a picture to be written, or raise PlotError if it cannot be one."""
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise PlotError(
+            f"{path}: its suffix is {path.suffix or 'missing'}; name a file that ends in "
+            f"{' or '.join(suffixes)}"
+        )
+    if path.is_dir():
+        raise PlotError(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise PlotError(f"{path.parent}: there is no such folder; make it, or name another")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise PlotError(f"{path.parent}: may not be written to; name another folder")
+    return path
+
+
+@contextmanager
+def _written_whole(path: Path) -> Iterator[Path]:
+    """A name to write to that becomes ``path`` at the end, or is removed on an error."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        raise PlotError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
