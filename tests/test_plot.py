@@ -275,7 +275,7 @@ def test_an_animation_on_a_busy_tile_stays_small(tmp_path):
     ("change", "error", "message"),
     [
         ({"path": "turn.png"}, PlotError, r"suffix is \.png; name a file that ends in \.gif"),
-        ({"frames": 1}, SpecError, "frames is 1; it must be a whole number from 2 to 720"),
+        ({"frames": 1}, SpecError, "frames is 1; it must be a whole number from 2 to 360"),
         ({"frames": 2.5}, SpecError, "frames is 2.5"),
         ({"cells": 0}, SpecError, "cells is 0"),
         ({"pose": (1.5, 0.5, 0.0)}, PoseError, "outside the tile"),

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 _DOTS_PER_INCH = 160
-# Frames of an animation: their size in inches, pixels to the inch, and colours. They keep the file
-# to some 3 MB on any tile; many slices change more with each frame, and get smaller ones.
-_FRAME_SIZE, _FRAME_DOTS, _MOST_SLICES_AT_FULL_SIZE = (4.6, 4.9), 100, 16
+# Frames of an animation: their size in inches, pixels to the inch, and colours. They keep 72 frames
+# below 3 MB on a busy tile; many slices change more with each frame, and get smaller ones.
+_FRAME_SIZE = (4.6, 4.9)
+_FRAME_DOTS, _MOST_SLICES_AT_FULL_SIZE = 100, 16
 _FRAME_COLOURS = 128
 _TURN_SECONDS = 7.2
 
@@ -114,7 +115,7 @@ def animate_heading(
     aerial : array [S, S, 3] or picture, optional
         The aerial tile, as for `slicemask.plot.draw_pose`.
     frames : int
-        How many headings, at least 2; a turn takes 7.2 seconds whatever their number.
+        How many headings, from 2 to 360; a turn takes some 7 seconds whatever their number.
     engine : {"rays", "shapely"}
         What computes the masks.
     progress : callable, optional
@@ -128,8 +129,8 @@ def animate_heading(
         If the other arguments cannot be.
     """
     path = check_target(path, (".gif",))
-    if not isinstance(frames, int | np.integer) or not 2 <= frames <= 720:
-        raise SpecError(f"frames is {frames!r}; it must be a whole number from 2 to 720")
+    if not isinstance(frames, int | np.integer) or not 2 <= frames <= 360:
+        raise SpecError(f"frames is {frames!r}; it must be a whole number from 2 to 360")
     u, v, start_deg = check_pose(pose)
     headings_deg = (start_deg + np.arange(frames) * 360.0 / frames) % 360.0
 
