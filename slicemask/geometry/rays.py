@@ -21,12 +21,13 @@ from types import ModuleType
 from typing import Any
 
 import array_api_compat
+import numpy as np
 
 from slicemask.geometry.azimuths import direction
 
 # Lattice values worked on at once: small enough for a processor's second-level cache, which
 # makes the arithmetic about twice as fast as over whole batches.
-_CACHE_VALUES = 24_000
+_CACHE_VALUES = 48_000
 
 
 def sector_fractions(
@@ -82,22 +83,36 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
     row_low, row_high = _interval(row_offset, u, lu, lv, ru, rv, xp)
     column_low, column_high = _interval(column_offset, v, rv, ru, lv, lu, xp)
 
-    pieces = []
-    step = max(1, _CACHE_VALUES // (cells + 1) ** 2)
-    for start in range(0, u.shape[0], step):
-        some = slice(start, min(start + step, u.shape[0]))
-        g = row_offset[some, :, None] * xp.minimum(
-            xp.maximum(lattice[None, None, :], row_low[some, :, None]), row_high[some, :, None]
+    # NumPy's clip is a third slower than its two halves; torch's is a third faster, backward too.
+    on_numpy = array_api_compat.is_numpy_array(u)
+    clip = _numpy_clip if on_numpy else xp.clip
+
+    def assembled(some: slice) -> Any:
+        g = row_offset[some, :, None] * clip(
+            lattice[None, None, :], row_low[some, :, None], row_high[some, :, None]
         )
-        g += column_offset[some, None, :] * xp.minimum(
-            xp.maximum(lattice[None, :, None], column_low[some, None, :]),
-            column_high[some, None, :],
+        g += column_offset[some, None, :] * clip(
+            lattice[None, :, None], column_low[some, None, :], column_high[some, None, :]
         )
         g = g[:, 1:, :] - g[:, :-1, :]
         g = g[:, :, 1:] - g[:, :, :-1]
         g *= cells * cells / 2
-        pieces.append(g)
-    return pieces[0] if len(pieces) == 1 else xp.concat(pieces, axis=0)
+        return g
+
+    step = max(1, _CACHE_VALUES // (cells + 1) ** 2)
+    count = u.shape[0]
+    pieces = [slice(start, min(start + step, count)) for start in range(0, count, step)]
+    if on_numpy:
+        # Filling one array spares fresh memory, whose first touch costs as much as the arithmetic.
+        fractions = np.empty((count, cells, cells), dtype=u.dtype)
+        for some in pieces:
+            fractions[some] = assembled(some)
+        return fractions
+    return xp.concat([assembled(some) for some in pieces], axis=0)
+
+
+def _numpy_clip(values: Any, low: Any, high: Any) -> Any:
+    return np.minimum(np.maximum(values, low), high)
 
 
 def _interval(
