@@ -20,7 +20,7 @@ def test_public_names():
     # A name taken out of this list breaks somebody's code: do it on purpose, and in a changelog.
     assert slicemask.__all__ == [
         "Bank", "BankError", "BankExistsError", "BankFormatError", "BankSpec", "BuildResult",
-        "Frustum", "PlotError", "PoseError", "PoseGrid", "SlicemaskError", "SpecError", "build_bank",
-        "open_bank", "read_poses", "slice_masks",
+        "Frustum", "PlotError", "PoseError", "PoseGrid", "SlicemaskError", "SpecError",
+        "build_bank", "open_bank", "read_poses", "slice_masks",
     ]  # fmt: skip
     assert all(hasattr(slicemask, name) for name in slicemask.__all__)
