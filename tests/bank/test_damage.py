@@ -21,7 +21,7 @@ from slicemask import BankError, open_bank
 from slicemask.bank.seal import SEAL_BYTES, write_seal
 
 MEMORY_BYTES = 2 << 30  # of address space; the libraries take some 0.5 GiB of it
-CASES = 1500  # of each kind of random damage, for each of two banks
+CASES = 600  # of each kind of random damage, for each of two banks
 
 
 def read_all(path, check=True):
@@ -41,7 +41,7 @@ def outcome(path, expected, check=True):
         values = read_all(path, check)
     except BankError as error:
         text = str(error)
-        if not text.startswith(str(path)) or len(text) > 1000 or "\\n" in text.strip():
+        if not text.startswith(str(path)) or len(text) > 1000 or "\n" in text:
             return f"badly said: {text}"
         return f"refused: {text}"
     except Exception as error:
@@ -135,6 +135,7 @@ def spec(change):
         content = json.loads(file.attrs["spec"])
         replaced = change(content)
         text = json.dumps(content) if replaced is None else replaced
+        assert isinstance(text, str | bytes)
         file.attrs["spec"] = np.bytes_(text)
 
     return lie
@@ -261,14 +262,14 @@ LIES = {
     "spec a list": spec(lambda _: "[]"),
     "spec a text": spec(lambda _: '"grid"'),
     "spec null": spec(lambda _: "null"),
-    "spec no UTF-8": spec(lambda _: b'{"cells": "\\xff\\xfe"}'),
+    "spec no UTF-8": spec(lambda _: b'{"cells": "\xff\xfe"}'),
     "spec nested deep": spec(lambda _: "[" * 50_000),
     "spec with a huge number": spec(lambda s: s.update(cells=10**300)),
     "spec with a number beyond float": spec(lambda s: s["frustum"].update(hfov_deg=10**400)),
     "spec with a number beyond reading": spec(lambda s: json.dumps(s)[:-1] + ',"n":' + "9" * 9999),
     "unknown key": spec(lambda s: s.update(colour="red")),
     "unknown key of the frustum": spec(lambda s: s["frustum"].update(tilt_deg=3)),
-    "no cells and no frustum": spec(lambda s: s.pop("frustum") and None),
+    "no frustum": spec(lambda s: s.__delitem__("frustum")),
     "frustum a list": spec(lambda s: s.update(frustum=[90, 2])),
     "cells 0": spec(lambda s: s.update(cells=0)),
     "cells as text": spec(lambda s: s.update(cells="5")),
@@ -286,7 +287,7 @@ LIES = {
     "versions of numbers": spec(lambda s: s.update(versions={"numpy": 2})),
     "poses both ways": spec(lambda s: s.update({"grid": {}, "poses": {}})),
     "poses a number": spec(lambda s: s.update({next(iter({"grid", "poses"} & set(s))): 7})),
-    "no poses": spec(lambda s: s.pop("grid", None) or (s.pop("poses", None) and None)),
+    "no poses": spec(lambda s: s.__delitem__("grid" if "grid" in s else "poses")),
     "shape of other rows": attribute("shape", [3, 25], "masks"),
     "shape of other cells": attribute("shape", [HUGE, HUGE], "masks"),
     "shape of three": attribute("shape", [1, 2, 3], "masks"),
