@@ -27,3 +27,7 @@ class BankExistsError(BankError):
 
 class PlotError(SlicemaskError, OSError):
     """A picture that cannot be read or written."""
+
+
+class SynthError(SlicemaskError, OSError):
+    """A generated city that cannot be asked for, or that cannot be written where it should go."""
