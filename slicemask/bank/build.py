@@ -301,11 +301,15 @@ def _mask_rows(images: Images, spec: BankSpec) -> Iterator[_Rows]:
         symmetry = images.symmetry[start : start + step]
         dense = np.empty((len(sector), cells, cells), dtype=np.float32)
         for number in np.unique(symmetry):
-            some = symmetry == number
-            dense[some] = SYMMETRIES[number].masks(fractions[sector[some]])
-        flat = dense.reshape(len(sector), -1)
-        row, cell = np.nonzero(flat)
-        yield _Rows(np.bincount(row, minlength=len(sector)), cell.astype(np.int32), flat[row, cell])
+            some = np.flatnonzero(symmetry == number)
+            moved = SYMMETRIES[number].masks(fractions[sector[some]])
+            dense[some] = np.ascontiguousarray(moved)  # twice as fast as from a strided view
+        flat = dense.reshape(-1)
+        at = np.flatnonzero(flat != 0.0)
+        row_starts = np.arange(len(sector) + 1) * cells**2
+        counts = np.diff(np.searchsorted(at, row_starts))
+        cell = at - np.repeat(row_starts[:-1], counts)
+        yield _Rows(counts, cell.astype(np.int32), flat[at])
 
 
 def _sector_masks(images: Images, spec: BankSpec) -> NDArray[np.float32]:
