@@ -283,7 +283,8 @@ def _in_order(work: Iterator[Batch], spec: BankSpec, jobs: int) -> Iterator[_Don
         waiting: deque[Future[_Done]] = deque()
         for batch in work:
             waiting.append(pool.submit(compute, batch))
-            if len(waiting) > jobs:
+            # Enough for every thread to find work while the oldest batch is written.
+            if len(waiting) > 2 * jobs:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()

@@ -54,7 +54,9 @@ def sector_fractions(
         In the arrays' own namespace, dtype and device; differentiable where they are. Rounding
         leaves values of the order of L * 1e-16 outside [0, 1] (float64).
     """
-    xp = array_api_compat.array_namespace(u, v, left_deg, right_deg)
+    # NumPy is its own namespace; the wrapper's would only add a long import.
+    on_numpy = array_api_compat.is_numpy_array(u)
+    xp = np if on_numpy else array_api_compat.array_namespace(u, v, left_deg, right_deg)
     if u.shape[0] == 0:
         return xp.zeros((0, cells, cells), dtype=u.dtype, device=array_api_compat.device(u))
     # A sector of 180 degrees or more can cut a line twice: cut it into narrower ones.
