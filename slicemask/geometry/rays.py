@@ -28,6 +28,7 @@ from slicemask.geometry.azimuths import direction
 # Lattice values worked on at once: small enough for a processor's second-level cache, which
 # makes the arithmetic about twice as fast as over whole batches.
 _CACHE_VALUES = 48_000
+_PARALLEL = 1e-30
 
 
 def sector_fractions(
@@ -140,10 +141,13 @@ def _interval(
 
 def _meeting(offset: Any, origin: Any, p: Any, q: Any, xp: ModuleType) -> tuple[Any, Any]:
     """Whether rays (p, q) from the origin meet the lines at offset, and where: p in [0, 1]."""
-    meets = q[:, None] * offset > 0.0
+    # A ray this close to parallel leaves the tile before it meets any line that matters: fluxes
+    # are proportional to the offset. Dividing by q would overflow.
+    parallel = xp.abs(q) < _PARALLEL
+    meets = ~parallel[:, None] & (q[:, None] * offset > 0.0)
     # The quotient is only used where the ray meets the line; elsewhere it is kept finite, so
     # that no NaN reaches a gradient.
-    divisor = xp.where(q == 0.0, xp.ones_like(q), q)
+    divisor = xp.where(parallel, xp.ones_like(q), q)
     at = origin[:, None] + offset * (p / divisor)[:, None]
     zero, one = xp.zeros_like(at), xp.ones_like(at)
     return meets, xp.minimum(xp.maximum(at, zero), one)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from slicemask import Frustum, PoseGrid, slice_masks
@@ -39,6 +39,7 @@ _cells = st.integers(1, 12)
 
 @settings(max_examples=300, deadline=None)
 @given(_poses, _frusta, _cells)
+@example((0.0, 0.0, 1.1125369292536007e-308), Frustum(1.0, 2), 1)  # a direction that is denormal
 def test_engines_agree_and_fractions_are_shares(pose, frustum, cells):
     by_polygons = slice_masks([pose], frustum, cells, "shapely")
     by_rays = slice_masks([pose], frustum, cells, "rays")
