@@ -188,7 +188,7 @@ class Bank:
         try:
             return BankSpec.from_json(spec.decode())
         except (BankFormatError, UnicodeDecodeError) as error:
-            raise BankFormatError(f"{self.path}: {error}") from error
+            raise BankFormatError(f"{self.path}: attribute spec: {error}") from error
 
     def _check_objects(self) -> None:
         """Check every object's type and size, and that its data is there, reading none of it."""
