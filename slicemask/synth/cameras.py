@@ -1,0 +1,155 @@
+"""The cameras that look at a scene: panorama, pinhole and aerial.
+
+Pixels are addressed by (row, column) with pixel centres at halves: row 0.5, column 0.5 is the
+centre of the first pixel. A camera turns them into rays, and points of the scene back into them.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+# Aerial rays start above all that is built.
+SKY_M = 400.0
+
+
+class Camera(Protocol):
+    """What `render` needs of a camera."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the image."""
+
+    def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
+        """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
+
+    def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Width of a pixel across the ray at a distance, metres."""
+
+
+@dataclass(frozen=True)
+class Panorama:
+    """An equirectangular camera with north at the centre column, as in VIGOR.
+
+    Parameters
+    ----------
+    place : (x, y, z)
+        Metres.
+    shape : (rows, columns)
+        Rows go from the zenith to the nadir.
+    """
+
+    place: tuple[float, float, float]
+    shape: tuple[int, int]
+
+    def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
+        """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
+        azimuth = 2 * np.pi * (np.asarray(column) / self.shape[1] - 0.5)
+        elevation = np.pi * (0.5 - np.asarray(row) / self.shape[0])
+        level = np.cos(elevation)
+        directions = [level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)]
+        rays = np.stack(directions, axis=-1)
+        return np.broadcast_to(np.array(self.place), rays.shape), rays
+
+    def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Width of a pixel across the ray at a distance, metres."""
+        return distance_m * np.float32(np.pi / self.shape[0])
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Rows and columns [n] where points [n, 3] show."""
+        x, y, z = (np.asarray(points) - self.place).T
+        column = (np.arctan2(x, y) / (2 * np.pi) + 0.5) * self.shape[1]
+        row = (0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * self.shape[0]
+        return row, column
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A level pinhole camera, as in KITTI.
+
+    Parameters
+    ----------
+    place : (x, y, z)
+        Metres.
+    heading_deg
+        Where the centre column looks, clockwise from north.
+    shape : (rows, columns)
+    focal_pixels
+        Focal length.
+    horizon_row
+        The row at the height of the camera. The centre column is columns / 2.
+    """
+
+    place: tuple[float, float, float]
+    heading_deg: float
+    shape: tuple[int, int]
+    focal_pixels: float
+    horizon_row: float
+
+    def _axes(self) -> tuple[Floats, Floats]:
+        sin, cos = np.sin(np.radians(self.heading_deg)), np.cos(np.radians(self.heading_deg))
+        return np.array([sin, cos, 0.0]), np.array([cos, -sin, 0.0])
+
+    def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
+        """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
+        ahead, right = self._axes()
+        across = (np.asarray(column) - self.shape[1] / 2)[..., None] / self.focal_pixels
+        up = (self.horizon_row - np.asarray(row))[..., None] / self.focal_pixels
+        rays = ahead + across * right + up * np.array([0.0, 0.0, 1.0])
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        return np.broadcast_to(np.array(self.place), rays.shape), rays
+
+    def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Width of a pixel across the ray at a distance, metres."""
+        return distance_m / np.float32(self.focal_pixels)
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Rows and columns [n] where points [n, 3] in front of the camera show."""
+        ahead, right = self._axes()
+        offset = np.asarray(points) - self.place
+        depth = offset @ ahead
+        column = self.shape[1] / 2 + self.focal_pixels * (offset @ right) / depth
+        return self.horizon_row - self.focal_pixels * offset[..., 2] / depth, column
+
+
+@dataclass(frozen=True)
+class Aerial:
+    """An orthographic camera that looks straight down, north up.
+
+    Parameters
+    ----------
+    north_west : (x, y)
+        The outer corner of the first pixel, metres.
+    metres_per_pixel
+        Size of a pixel on the ground.
+    shape : (rows, columns)
+    """
+
+    north_west: tuple[float, float]
+    metres_per_pixel: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def centred(cls, x: float, y: float, metres_per_pixel: float, pixels: int) -> "Aerial":
+        """A square image around a point."""
+        half = metres_per_pixel * pixels / 2
+        return cls((x - half, y + half), metres_per_pixel, (pixels, pixels))
+
+    def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
+        """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
+        x = self.north_west[0] + np.asarray(column) * self.metres_per_pixel
+        y = self.north_west[1] - np.asarray(row) * self.metres_per_pixel
+        origins = np.stack([x, y, np.full_like(x, SKY_M)], axis=-1)
+        return origins, np.broadcast_to(np.array([0.0, 0.0, -1.0]), origins.shape)
+
+    def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Width of a pixel across the ray at a distance, metres."""
+        return np.full_like(distance_m, self.metres_per_pixel)
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Rows and columns [n] where points [n, 3] (or [n, 2]) show."""
+        points = np.asarray(points)
+        column = (points[..., 0] - self.north_west[0]) / self.metres_per_pixel
+        return (self.north_west[1] - points[..., 1]) / self.metres_per_pixel, column

@@ -1,0 +1,252 @@
+"""Generate data sets: what is asked for, checked, rendered on all cores, and gone on with."""
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from slicemask.errors import SynthError
+from slicemask.synth import kitti, vigor
+from slicemask.synth.files import write_text
+
+# Raised with every change that alters a picture or a label.
+VERSION = 1
+RECORD = "synth.json"
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class SynthResult:
+    """What a call has done.
+
+    Parameters
+    ----------
+    path : Path
+        Root of the data set.
+    images : int
+        Number of images of the data set.
+    rendered : int
+        Number of those that were rendered now; the others were there.
+    """
+
+    path: Path
+    images: int
+    rendered: int
+
+
+class _Task(Protocol):
+    @property
+    def images(self) -> int: ...
+
+    def run(self) -> int: ...
+
+
+def generate_vigor(
+    out: str | os.PathLike[str],
+    *,
+    cities: int = 1,
+    panoramas: int = 400,
+    seed: int = 0,
+    panorama_size: tuple[int, int] = (2048, 1024),
+    tile_size: int = 640,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> SynthResult:
+    """Generate cities in VIGOR's on-disk format.
+
+    Images that are there and whole are kept, so that a call that was cut short goes on when it is
+    repeated. The result depends on nothing but the arguments; `jobs` changes no byte.
+
+    Parameters
+    ----------
+    out : path
+        Root of the data set: new, empty, or holding the same data set from an earlier call.
+    cities : int
+        1 to 4, in the order NewYork, SanFrancisco, Seattle, Chicago: with two, one lies on either
+        side of VIGOR's cross-area split.
+    panoramas : int
+        Panoramas a city, half of them for training in the same-area split.
+    seed : int
+        The layout of all cities follows from it.
+    panorama_size : (columns, rows)
+        Twice as wide as high.
+    tile_size : int
+        Pixels a side. Tiles cover the same ground at any size; labels stay on the 640-pixel scale.
+    jobs : int, optional
+        Processes; all processors by default.
+    progress : callable, optional
+        Called with the number of images done and their total.
+
+    Raises
+    ------
+    SynthError
+        If an argument is out of its range, or `out` holds something else or cannot be written.
+    """
+    if not 1 <= cities <= len(vigor.CITIES):
+        raise SynthError(f"cities is {cities}; VIGOR has 1 to {len(vigor.CITIES)}")
+    _check_at_least("panoramas", panoramas, 1)
+    _check_at_least("seed", seed, 0)
+    _check_at_least("tile_size", tile_size, 16)
+    columns, rows = panorama_size
+    if rows < 16 or columns != 2 * rows:
+        raise SynthError(
+            f"panorama_size is {columns}x{rows}; it must be twice as wide as high, as 1024x512 is"
+        )
+    root = Path(out)
+    _claim(
+        root,
+        {
+            "format": "vigor",
+            "version": VERSION,
+            "seed": seed,
+            "cities": cities,
+            "panoramas": panoramas,
+            "panorama_size": [columns, rows],
+            "tile_size": tile_size,
+        },
+    )
+    specs = [
+        vigor.VigorSpec(seed, city, panoramas, (columns, rows), tile_size) for city in range(cities)
+    ]
+    tasks: list[_Task] = []
+    for spec in specs:
+        tasks += vigor.list_tasks(root, spec)
+        vigor.write_labels(root, spec)
+    return _run(root, tasks, jobs, progress)
+
+
+def generate_kitti(
+    out: str | os.PathLike[str],
+    *,
+    frames: int = 200,
+    seed: int = 0,
+    image_size: tuple[int, int] = (kitti.COLUMNS, kitti.ROWS),
+    tile_size: int = 1280,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+) -> SynthResult:
+    """Generate drives in KITTI's on-disk format, with tiles and splits as cut by LM.
+
+    Goes on, and depends on its arguments, as `generate_vigor` does.
+
+    Parameters
+    ----------
+    out : path
+        Root of the data set: new, empty, or holding the same data set from an earlier call.
+    frames : int
+        Frames in all, at least 3: 64 per cent for training, 12 for the first test in the same
+        city, the rest for the second test in another.
+    seed : int
+        The layout of both cities follows from it.
+    image_size : (columns, rows)
+        Of ground images; the focal length scales with the columns.
+    tile_size : int
+        Pixels a side, at 0.19583 m whatever the number, at least 512.
+    jobs, progress
+        As for `generate_vigor`.
+
+    Raises
+    ------
+    SynthError
+        If an argument is out of its range, or `out` holds something else or cannot be written.
+    """
+    _check_at_least("frames", frames, 3)
+    _check_at_least("seed", seed, 0)
+    _check_at_least("tile_size", tile_size, 512)
+    columns, rows = image_size
+    if rows < 16 or abs(columns / rows * kitti.ROWS / kitti.COLUMNS - 1) > 0.02:
+        raise SynthError(
+            f"image_size is {columns}x{rows}; it must have the proportions of 1242x375"
+        )
+    root = Path(out)
+    _claim(
+        root,
+        {
+            "format": "kitti",
+            "version": VERSION,
+            "seed": seed,
+            "frames": frames,
+            "image_size": [columns, rows],
+            "tile_size": tile_size,
+        },
+    )
+    tasks: list[_Task] = []
+    for area, counts in enumerate(kitti.count_frames(frames)):
+        spec = kitti.KittiSpec(seed, area, counts, (columns, rows), tile_size)
+        tasks += kitti.list_tasks(root, spec)
+        kitti.write_records(root, spec)
+    return _run(root, tasks, jobs, progress)
+
+
+def _check_at_least(name: str, value: int, least: int) -> None:
+    if value < least:
+        raise SynthError(f"{name} is {value}; it must be at least {least}")
+
+
+def _claim(root: Path, record: dict[str, Any]) -> None:
+    """Make the root this data set's, or refuse one that holds something else."""
+    path = root / RECORD
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+        empty = not any(root.iterdir())
+    except (OSError, ValueError) as error:
+        raise SynthError(
+            f"{root}: cannot be used as the data set's folder ({error}); choose another"
+        ) from error
+    if found == record:
+        return
+    if found is not None:
+        raise SynthError(
+            f"{root}: holds another generated data set ({json.dumps(found)}); choose another "
+            f"folder for {json.dumps(record)}"
+        )
+    if not empty:
+        raise SynthError(
+            f"{root}: is not empty and holds no {RECORD}, so it may be somebody's data; choose a "
+            "new folder"
+        )
+    write_text(path, json.dumps(record, indent=2) + "\n")
+
+
+def _run(
+    root: Path, tasks: Sequence[_Task], jobs: int | None, progress: Progress | None
+) -> SynthResult:
+    if jobs is not None:
+        _check_at_least("jobs", jobs, 1)
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    total = sum(task.images for task in tasks)
+    done = rendered = 0
+
+    def count(task: _Task, new: int) -> None:
+        nonlocal done, rendered
+        done += task.images
+        rendered += new
+        if progress is not None:
+            progress(done, total)
+
+    if progress is not None:
+        progress(0, total)
+    if jobs == 1:
+        for task in tasks:
+            count(task, task.run())
+        return SynthResult(root, total, rendered)
+    # Spawned, because forking a process that has threads, as one with torch has, can lock up.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        running = {pool.submit(_run_task, task): task for task in tasks}
+        try:
+            for future in as_completed(running):
+                count(running[future], future.result())
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return SynthResult(root, total, rendered)
+
+
+def _run_task(task: _Task) -> int:
+    return task.run()

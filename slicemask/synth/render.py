@@ -1,0 +1,228 @@
+"""Pictures of a scene: one ray a pixel, sun and sky, and more rays where neighbours differ."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slicemask.synth.cameras import Camera
+from slicemask.synth.elements import Kind
+from slicemask.synth.materials import albedo, noise, single
+from slicemask.synth.scene import Scene
+
+Floats = NDArray[np.float32]
+# Rays that are shaded at once: as many as stay in the processor's cache.
+CHUNK = 1 << 16
+# Where else in a pixel to look when it lies on an edge.
+SUBPIXELS = ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125))
+# Brightness, in [0, 1], by which neighbours must differ to be an edge.
+EDGE = 0.08
+
+
+@dataclass(frozen=True)
+class Light:
+    """Sun and sky.
+
+    Parameters
+    ----------
+    sun_azimuth_deg, sun_elevation_deg
+        Where the sun stands, clockwise from north and above the horizon.
+    sun
+        Its strength; 0 is an overcast day.
+    ambient
+        Strength of the sky's light.
+    zenith, horizon
+        Colours of the sky.
+    clouds
+        Share of clouds, in [0, 1].
+    haze_m
+        Distance at which haze has taken two thirds of a colour.
+    """
+
+    sun_azimuth_deg: float
+    sun_elevation_deg: float
+    sun: float
+    ambient: float
+    zenith: tuple[float, float, float]
+    horizon: tuple[float, float, float]
+    clouds: float
+    haze_m: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, aerial: bool = False) -> "Light":
+        """Draw the light of a day and hour; pictures from above are taken in clear air."""
+        overcast = rng.random() < 0.25
+        sun = rng.uniform(0.0, 0.25) if overcast else rng.uniform(0.7, 1.1)
+        blue = rng.uniform(0.0, 1.0)
+        zenith = (0.30 + 0.2 * blue, 0.50 + 0.1 * blue, 0.78)
+        grey = rng.uniform(0.68, 0.82)
+        return cls(
+            sun_azimuth_deg=float(rng.uniform(90, 270)),
+            sun_elevation_deg=float(rng.uniform(28, 65)),
+            sun=float(sun),
+            ambient=float(rng.uniform(0.85, 0.98) if overcast else rng.uniform(0.5, 0.66)),
+            zenith=(grey, grey, grey + 0.03) if overcast else zenith,
+            horizon=(0.86, 0.88, 0.90),
+            clouds=1.0 if overcast else float(rng.uniform(0.0, 0.7)),
+            haze_m=float(rng.uniform(350, 900) * (10 if aerial else 1)),
+        )
+
+    @property
+    def towards_sun(self) -> Floats:
+        """Unit vector to the sun, float32 [3]."""
+        azimuth, elevation = np.radians([self.sun_azimuth_deg, self.sun_elevation_deg])
+        level = np.cos(elevation)
+        return single([level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)])
+
+    def sky(self, directions: Floats) -> Floats:
+        """Colours of the sky, float32 [n, 3], in directions [n, 3]."""
+        x, y, z = directions.T
+        up = np.clip(z, 0.0, 1.0)[:, None]
+        colour = single(self.horizon) + np.sqrt(up) * single(np.subtract(self.zenith, self.horizon))
+        reach = 1.0 / (up[:, 0] + 0.12)
+        zero = np.zeros_like(reach)
+        cover = sum(
+            noise(x * reach * size, y * reach * size, 1.0, zero) / size for size in (1.1, 2.3, 5.1)
+        )
+        cloud = np.clip((cover + self.clouds - 0.55) * 1.4, 0, 1) * np.clip(z * 6, 0, 1)
+        return np.asarray(colour + cloud[:, None] * (single([0.93, 0.94, 0.95]) - colour))
+
+
+@dataclass(frozen=True)
+class Grade:
+    """What a sensor makes of the light: gains of the channels, contrast, saturation, noise."""
+
+    gains: tuple[float, float, float]
+    contrast: float
+    saturation: float
+    noise: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> "Grade":
+        """Draw a sensor's colours."""
+        exposure = rng.uniform(0.9, 1.15)
+        red, green, blue = (exposure * (1 + rng.normal(0, (0.05, 0.02, 0.06)))).tolist()
+        return cls(
+            gains=(red, green, blue),
+            contrast=float(rng.uniform(0.85, 1.12)),
+            saturation=float(rng.uniform(0.7, 1.15)),
+            noise=float(rng.uniform(0.004, 0.014)),
+        )
+
+    def apply(self, image: Floats, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Turn float32 [H, W, 3] light into uint8."""
+        graded = image * single(self.gains)
+        grey = graded.mean(axis=-1, keepdims=True)
+        graded = grey + self.saturation * (graded - grey)
+        graded = 0.5 + self.contrast * (graded - 0.5)
+        # What is too bright for the sensor nears white instead of being cut off.
+        graded = np.where(graded > 0.7, 0.7 + 0.3 * np.tanh((graded - 0.7) / 0.3), graded)
+        graded += rng.standard_normal(graded.shape, dtype=np.float32) * self.noise
+        return np.asarray(np.clip(graded, 0, 1) * 255 + 0.5, dtype=np.uint8)
+
+
+def render(scene: Scene, camera: Camera, light: Light) -> Floats:
+    """Light that reaches each pixel, float32 [H, W, 3], about 0 to 1.
+
+    Each pixel gets one ray; those that differ from a neighbour in surface or brightness get four
+    more.
+    """
+    rows, columns = camera.shape
+    row, column = (part.reshape(-1) + 0.5 for part in np.mgrid[:rows, :columns])
+    colour = np.empty((rows * columns, 3), dtype=np.float32)
+    surface = np.empty(rows * columns, dtype=np.int32)
+    for start in range(0, len(row), CHUNK):
+        chunk = slice(start, start + CHUNK)
+        colour[chunk], surface[chunk] = _shade(scene, camera, light, row[chunk], column[chunk])
+    edge = np.flatnonzero(_edges(colour.reshape(rows, columns, 3), surface.reshape(rows, columns)))
+    for start in range(0, len(edge), CHUNK // len(SUBPIXELS)):
+        part = edge[start : start + CHUNK // len(SUBPIXELS)]
+        total = np.zeros((len(part), 3), dtype=np.float32)
+        for down, right in SUBPIXELS:
+            more, _ = _shade(scene, camera, light, row[part] + down, column[part] + right)
+            total += more
+        colour[part] = total / len(SUBPIXELS)
+    return colour.reshape(rows, columns, 3)
+
+
+def _edges(colour: Floats, surface: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Pixels that differ from a neighbour to their right or below, or from which one does."""
+    edge = np.zeros(surface.shape, dtype=bool)
+    grey = np.clip(colour, 0, 1).mean(axis=-1)
+    for axis in (0, 1):
+        changes = np.diff(surface, axis=axis) != 0
+        # Unlike surfaces of like brightness, such as roof and parapet, can do without.
+        step = np.abs(np.diff(grey, axis=axis))
+        changes = (changes & (step > EDGE / 2)) | (step > EDGE)
+        before = [slice(None), slice(None)]
+        after = [slice(None), slice(None)]
+        before[axis], after[axis] = slice(None, -1), slice(1, None)
+        edge[tuple(before)] |= changes
+        edge[tuple(after)] |= changes
+    return edge
+
+
+def _shade(
+    scene: Scene,
+    camera: Camera,
+    light: Light,
+    row: NDArray[np.float64],
+    column: NDArray[np.float64],
+) -> tuple[Floats, NDArray[np.int32]]:
+    """Light float32 [n, 3] and surfaces int32 [n] (-1 is the sky) at places in the image."""
+    origins, directions = (part.astype(np.float32) for part in camera.rays(row, column))
+    hits = scene.trace(origins, directions)
+    met = np.flatnonzero(hits.face >= 0)
+    colour = np.empty((len(row), 3), dtype=np.float32)
+    surface = np.full(len(row), -1, dtype=np.int32)
+    missed = hits.face < 0
+    colour[missed] = light.sky(directions[missed])
+    if not len(met):
+        return colour, surface
+    face, distance, ray = hits.face[met], hits.distance_m[met], directions[met]
+    surface[met] = scene.surface[face]
+    point = origins[met] + distance[:, None] * ray
+    normal = scene.normals[face]
+    facing = (normal * ray).sum(axis=1)
+    normal = np.where(facing[:, None] > 0, -normal, normal)
+    facing = np.abs(facing)
+    # On a slanting surface a pixel is longer than wide; patterns see the mean of both.
+    across = camera.footprint_m(distance)
+    footprint = across * np.sqrt(1.0 / np.maximum(facing, 0.05))
+    base = albedo(scene, face, point, footprint)
+
+    sun = light.towards_sun
+    slope = normal @ sun
+    leaves = scene.surfaces.kind[surface[met]] == Kind.LEAVES
+    # Light goes some way round and through a crown.
+    slope = np.where(leaves, 0.35 + 0.65 * slope, slope)
+    lit = (slope > 0) & (light.sun > 0.02)
+    shine = np.zeros(len(met), dtype=np.float32)
+    start = point[lit] + normal[lit] * 0.03
+    start += sun * np.where(leaves[lit], 0.25, 0)[:, None]
+    free = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
+    shine[lit] = slope[lit] * free * light.sun
+    # The sky lights what looks up most; walls and crowns are darker near the ground.
+    sky = light.ambient * (0.72 + 0.28 * normal[:, 2])
+    upright = np.abs(normal[:, 2]) < 0.7
+    sky = sky * np.where(upright, 0.85 + 0.15 * np.clip(point[:, 2] / 4.0, 0, 1), 1.0)
+    tint = sky[:, None] * single([0.95, 1.0, 1.06]) + shine[:, None] * single([1.06, 1.0, 0.9])
+    shaded = base * tint
+
+    kind = scene.surfaces.kind[surface[met]]
+    for which, strength in ((Kind.PAINT, 0.12), (Kind.GLASS, 0.14), (Kind.WATER, 0.30)):
+        chosen = np.flatnonzero(kind == which)
+        if len(chosen):
+            bounce = (
+                ray[chosen]
+                - 2 * (ray[chosen] * normal[chosen]).sum(axis=1)[:, None] * (normal[chosen])
+            )
+            gleam = strength + (1 - strength) * (1 - facing[chosen]) ** 5
+            mirrored = light.sky(bounce)
+            # Seen from below, a mirror shows the street instead of the sky.
+            mirrored = np.where((bounce[:, 2] > 0.05)[:, None], mirrored, 0.35 * mirrored)
+            shaded[chosen] += gleam[:, None] * (mirrored - shaded[chosen])
+    near_horizon = single(light.horizon)
+    haze = 1 - np.exp(-distance / light.haze_m)
+    colour[met] = shaded + haze[:, None] * (near_horizon - shaded)
+    return colour, surface

@@ -1,0 +1,54 @@
+"""Aerial tiles that overlap: rendered in one picture, then cut out of it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slicemask.synth.cameras import Aerial
+from slicemask.synth.files import is_whole, write_picture
+from slicemask.synth.render import Grade, Light, render
+from slicemask.synth.scene import Scene
+
+
+def missing_tiles(paths: Sequence[Path], pixels: int) -> list[int]:
+    """Which of the tiles are not there or not whole."""
+    return [k for k, path in enumerate(paths) if not is_whole(path, (pixels, pixels))]
+
+
+def write_tiles(
+    scene: Scene,
+    centres: NDArray[np.float64],
+    metres_per_pixel: float,
+    pixels: int,
+    look: tuple[Light, Grade],
+    wanted: dict[int, tuple[Path, np.random.Generator]],
+) -> None:
+    """Render the square tiles around centres, and write those that are wanted.
+
+    The picture covers all tiles whichever are wanted, since which pixels get more rays depends on
+    their neighbours; so a tile is the same whether or not others were there already.
+
+    Parameters
+    ----------
+    scene : Scene
+    centres : float64 [n, 2]
+        Metres east and north; whole pixels apart.
+    metres_per_pixel, pixels
+        Of the tiles.
+    look
+        Light and sensor, the same for all.
+    wanted
+        The path of each tile to write, by its number, and random numbers for its noise.
+    """
+    light, grade = look
+    west, north = centres[:, 0].min(), centres[:, 1].max()
+    right = np.rint((centres[:, 0] - west) / metres_per_pixel).astype(int)
+    down = np.rint((north - centres[:, 1]) / metres_per_pixel).astype(int)
+    half = pixels / 2 * metres_per_pixel
+    shape = int(down.max()) + pixels, int(right.max()) + pixels
+    image = render(scene, Aerial((west - half, north + half), metres_per_pixel, shape), light)
+    for number, (path, rng) in wanted.items():
+        top, left = down[number], right[number]
+        write_picture(path, grade.apply(image[top : top + pixels, left : left + pixels], rng))

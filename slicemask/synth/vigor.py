@@ -1,0 +1,320 @@
+"""Generated cities in VIGOR's on-disk format.
+
+Tiles lie on a grid of latitudes and longitudes on which neighbours overlap by about half, as
+VIGOR's do: their centres are 328 of their 640 pixels apart. A panorama's positive is the tile whose
+centre is nearest, and the other three of the four tiles around it are its semi-positives.
+"""
+
+import base64
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from slicemask.synth.cameras import Panorama
+from slicemask.synth.city import City, lay_out_city
+from slicemask.synth.files import is_whole, write_picture, write_text
+from slicemask.synth.render import Grade, Light, render
+from slicemask.synth.scene import Scene, View, build_scene
+from slicemask.synth.tiles import missing_tiles, write_tiles
+
+
+@dataclass(frozen=True)
+class VigorCity:
+    """One of VIGOR's cities: metres per pixel of its 640-pixel tiles, and its place on Earth."""
+
+    name: str
+    metres_per_pixel: float
+    latitude: float
+    longitude: float
+
+
+# In the order in which they are generated, so that any two serve VIGOR's cross-area split, which
+# trains on NewYork and Seattle and tests on SanFrancisco and Chicago.
+CITIES = (
+    VigorCity("NewYork", 0.113248, 40.7486, -73.9857),
+    VigorCity("SanFrancisco", 0.118141, 37.7719, -122.4264),
+    VigorCity("Seattle", 0.100817, 47.6131, -122.3352),
+    VigorCity("Chicago", 0.111262, 41.8760, -87.6523),
+)
+LABEL_PIXELS = 640  # the scale of the labels, whatever the size of the tiles
+STEP_PIXELS = 328
+CAMERA_HEIGHT_M = 2.5
+MARGIN_M = 45.0  # of city around the outermost tiles
+# VIGOR holds up to two panoramas a tile. Here the city grows no further than this number of tiles
+# a side, and then its tiles get more panoramas each.
+MOST_TILES = 26
+METRES_PER_DEGREE = 111_320.0  # of latitude
+BLOCK = 4  # tiles a side that are rendered at once, because they overlap
+
+
+@dataclass(frozen=True)
+class VigorSpec:
+    """What decides every byte of one city.
+
+    Parameters
+    ----------
+    seed, city
+        The layout's seed; the number of the city in `CITIES`.
+    panoramas
+        How many.
+    panorama_size : (columns, rows)
+    tile_size
+        Pixels a side.
+    """
+
+    seed: int
+    city: int
+    panoramas: int
+    panorama_size: tuple[int, int]
+    tile_size: int
+
+    @property
+    def metres_per_pixel(self) -> float:
+        """Of the tiles as rendered."""
+        return CITIES[self.city].metres_per_pixel * LABEL_PIXELS / self.tile_size
+
+    @property
+    def step_m(self) -> float:
+        """Between tiles' centres: whole pixels, so that tiles can be cut out of one picture."""
+        return round(STEP_PIXELS / LABEL_PIXELS * self.tile_size) * self.metres_per_pixel
+
+    def random(self, *what: int) -> np.random.Generator:
+        """Random numbers of a part of the city."""
+        return np.random.default_rng([self.seed, self.city, *what])
+
+
+@dataclass(frozen=True)
+class VigorPlan:
+    """A city with its tiles and panoramas, before anything is rendered.
+
+    Parameters
+    ----------
+    city : City
+        Its ground view is clear of cars around the cameras.
+    info : VigorCity
+    tiles_a_side
+        T; the tile in row i (from the north) and column j (from the west) has number i * T + j.
+    step_m
+        Between tiles' centres.
+    places : float64 [P, 2]
+        Cameras, metres east and north of the city's centre.
+    positives : int [P, 4]
+        Tiles of each panorama: the positive, then the semi-positives.
+    panorama_names, tile_names
+        File names of the P panoramas and of all tiles.
+    """
+
+    city: City
+    info: VigorCity
+    tiles_a_side: int
+    step_m: float
+    places: NDArray[np.float64]
+    positives: NDArray[np.intp]
+    panorama_names: tuple[str, ...]
+    tile_names: tuple[str, ...]
+
+    def tile_centres(self, tiles: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Centres of tiles, metres east and north, float64 [..., 2]."""
+        return _tile_centres(tiles, self.tiles_a_side, self.step_m)
+
+    def offsets(self) -> NDArray[np.float64]:
+        """Labels d0, d1 of each panorama in its four tiles, pixels of 640, float64 [P, 4, 2].
+
+        Row = 320 + d0 and column = 320 - d1, so d0 grows to the south and d1 to the west.
+        """
+        off = self.tile_centres(self.positives) - self.places[:, None]
+        return off[..., ::-1] / self.info.metres_per_pixel
+
+
+def _tile_centres(tiles: NDArray[np.intp], tiles_a_side: int, step_m: float) -> NDArray[np.float64]:
+    row, column = np.divmod(tiles, tiles_a_side)
+    middle = (tiles_a_side - 1) / 2
+    return np.stack([(column - middle) * step_m, (middle - row) * step_m], axis=-1)
+
+
+@lru_cache(maxsize=1)
+def plan_city(spec: VigorSpec) -> VigorPlan:
+    """Lay out a city and choose where its panoramas are taken."""
+    info = CITIES[spec.city]
+    step_m = spec.step_m
+    # About 1.2 panoramas a tile, as in VIGOR.
+    side = int(np.clip(np.ceil(np.sqrt(spec.panoramas / 1.2)), 2, MOST_TILES))
+    half_extent_m = (side - 1) / 2 * step_m + LABEL_PIXELS / 2 * info.metres_per_pixel + MARGIN_M
+    city = lay_out_city((spec.seed, spec.city), half_extent_m)
+    rng = spec.random(1)
+    places = _choose_places(city, spec.panoramas, side, step_m, rng)
+    row = (side - 1) / 2 - places[:, 1] / step_m
+    column = places[:, 0] / step_m + (side - 1) / 2
+    near = np.clip(np.rint([row, column]), 0, side - 1).astype(np.intp)
+    first = np.clip(np.floor([row, column]), 0, side - 2).astype(np.intp)
+    far = 2 * first + 1 - near  # the other one of the two rows and columns around the camera
+    positives = np.stack(
+        [
+            near[0] * side + near[1],
+            near[0] * side + far[1],
+            far[0] * side + near[1],
+            far[0] * side + far[1],
+        ],
+        axis=1,
+    )
+    centres = _tile_centres(np.arange(side**2), side, step_m)
+    tile_names = [
+        f"satellite_{latitude:.14f}_{longitude:.14f}.png"
+        for latitude, longitude in _on_earth(centres, info)
+    ]
+    names = [
+        f"{base64.urlsafe_b64encode(rng.bytes(17)).decode()[:22]},{latitude:.6f},{longitude:.6f},.jpg"
+        for latitude, longitude in _on_earth(places, info)
+    ]
+    return VigorPlan(
+        city.clear_of_cars(places),
+        info,
+        side,
+        step_m,
+        places,
+        positives,
+        tuple(names),
+        tuple(tile_names),
+    )
+
+
+def _on_earth(places: NDArray[np.float64], info: VigorCity) -> list[tuple[float, float]]:
+    """Latitude and longitude of places: near one point, degrees are as good as metres."""
+    latitude = info.latitude + places[:, 1] / METRES_PER_DEGREE
+    east = METRES_PER_DEGREE * np.cos(np.radians(info.latitude))
+    longitude = info.longitude + places[:, 0] / east
+    return list(zip(latitude.tolist(), longitude.tolist(), strict=True))
+
+
+def _choose_places(
+    city: City, count: int, side: int, step_m: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Choose places on lanes, evenly over the tiles: float64 [count, 2].
+
+    Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
+    the part that is nearest to the tile's centre, as they are in VIGOR.
+    """
+    reach = (side - 1) / 2 * step_m  # cameras have tiles on all sides
+    hull = shapely.box(-reach, -reach, reach, reach)
+    lanes = np.array(city.drives(), dtype=object)
+    tree = shapely.STRtree(lanes)
+    stretches = []
+    for x, y in _tile_centres(np.arange(side**2), side, step_m):
+        cell = shapely.box(x - step_m / 2, y - step_m / 2, x + step_m / 2, y + step_m / 2)
+        ground = cell.intersection(hull)
+        inside = shapely.intersection(lanes[tree.query(ground)], ground)
+        parts = shapely.get_parts(inside)
+        parts = parts[shapely.length(parts) > 0.5]
+        if len(parts):
+            stretches.append(parts)
+    places: list[NDArray[np.float64]] = []
+    while len(places) < count:
+        for number in rng.permutation(len(stretches))[: count - len(places)]:
+            parts = stretches[number]
+            length = shapely.length(parts)
+            part = parts[rng.choice(len(parts), p=length / length.sum())]
+            point = shapely.line_interpolate_point(part, rng.random(), normalized=True)
+            places.append(shapely.get_coordinates(point)[0] + rng.normal(0, 0.25, 2))
+    return np.clip(places, -reach, reach)
+
+
+@lru_cache(maxsize=1)
+def _scene(spec: VigorSpec, view: View) -> Scene:
+    return build_scene(plan_city(spec).city, view)
+
+
+@dataclass(frozen=True)
+class PanoramaTask:
+    """Renders one panorama."""
+
+    root: Path
+    spec: VigorSpec
+    number: int
+
+    images = 1
+
+    def run(self) -> int:
+        """Write the panorama unless it is there; give the number of images written."""
+        plan = plan_city(self.spec)
+        path = self.root / plan.info.name / "panorama" / plan.panorama_names[self.number]
+        if is_whole(path, self.spec.panorama_size):
+            return 0
+        rng = self.spec.random(2, self.number)
+        x, y = plan.places[self.number].tolist()
+        place = (x, y, CAMERA_HEIGHT_M + float(rng.normal(0, 0.08)))
+        camera = Panorama(place, self.spec.panorama_size[::-1])
+        image = render(_scene(self.spec, "ground"), camera, Light.draw(rng))
+        write_picture(path, Grade.draw(rng).apply(image, rng))
+        return 1
+
+
+@dataclass(frozen=True)
+class TilesTask:
+    """Renders neighbouring tiles, which overlap, in one picture and cuts them out of it."""
+
+    root: Path
+    spec: VigorSpec
+    tiles: tuple[int, ...]
+
+    @property
+    def images(self) -> int:
+        """Number of tiles."""
+        return len(self.tiles)
+
+    def run(self) -> int:
+        """Write the tiles that are not there; give the number of images written."""
+        plan, spec = plan_city(self.spec), self.spec
+        folder = self.root / plan.info.name / "satellite"
+        paths = [folder / plan.tile_names[tile] for tile in self.tiles]
+        missing = missing_tiles(paths, spec.tile_size)
+        if missing:
+            rng = spec.random(3)  # the pictures from above are of one day
+            write_tiles(
+                _scene(spec, "aerial"),
+                plan.tile_centres(np.array(self.tiles)),
+                spec.metres_per_pixel,
+                spec.tile_size,
+                (Light.draw(rng, aerial=True), Grade.draw(rng)),
+                {k: (paths[k], spec.random(4, self.tiles[k])) for k in missing},
+            )
+        return len(missing)
+
+
+def list_tasks(root: Path, spec: VigorSpec) -> list[PanoramaTask | TilesTask]:
+    """The tasks that render a city."""
+    plan = plan_city(spec)
+    blocks: dict[tuple[int, int], list[int]] = {}
+    for tile in np.unique(plan.positives).tolist():
+        row, column = divmod(tile, plan.tiles_a_side)
+        blocks.setdefault((row // BLOCK, column // BLOCK), []).append(tile)
+    tiles = [TilesTask(root, spec, tuple(block)) for block in blocks.values()]
+    return [*tiles, *(PanoramaTask(root, spec, number) for number in range(spec.panoramas))]
+
+
+def write_labels(root: Path, spec: VigorSpec) -> None:
+    """Write the label files and the list of tiles, under VIGOR's names of corrected labels."""
+    plan = plan_city(spec)
+    lines = []
+    for name, tiles, offsets in zip(
+        plan.panorama_names, plan.positives, plan.offsets(), strict=True
+    ):
+        fields = [name]
+        for tile, (d0, d1) in zip(tiles, offsets, strict=True):
+            fields += [plan.tile_names[tile], f"{d0:.3f}", f"{d1:.3f}"]
+        lines.append(" ".join(fields))
+    order = spec.random(5).permutation(len(lines))
+    half = (len(lines) + 1) // 2
+    folder = root / "splits__corrected" / plan.info.name
+    for part, numbers in (
+        ("same_area_balanced_train", np.sort(order[:half])),
+        ("same_area_balanced_test", np.sort(order[half:])),
+        ("pano_label_balanced", np.arange(len(lines))),
+    ):
+        text = "".join(lines[number] + "\n" for number in numbers)
+        write_text(folder / f"{part}__corrected.txt", text)
+    tiles = np.unique(plan.positives)
+    write_text(folder / "satellite_list.txt", "".join(plan.tile_names[t] + "\n" for t in tiles))
