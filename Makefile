@@ -23,7 +23,7 @@ $(VENV)/.core: pyproject.toml constraints.txt
 # torch is asked for by its exact version alone, so that the pinned build is the one taken.
 $(VENV)/.full: $(VENV)/.core
 	$(PIP) "$$(grep '^torch==' constraints.txt)"
-	$(PIP) -e '.[model,test,lint,bench]'
+	$(PIP) -e '.[model,synth,test,lint,bench]'
 	@touch $@
 
 bank: $(VENV)/.core
