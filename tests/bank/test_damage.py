@@ -227,14 +227,39 @@ def external(file):
     file.create_dataset("poses", shape=shape, dtype=np.float64, external=zeros)
 
 
-def one_huge_chunk(file):
-    # 512 MiB of zeros in one chunk: half a MiB on disk, all of it once it is unpacked.
+def huge_chunks(file):
+    # Half a GiB of zeros in one chunk: half a MiB on disk, all of it once it is unpacked.
     values, packer = 1 << 27, zlib.compressobj(9)
     packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(values * 4 >> 20))
-    options = {"dtype": np.float32, "compression": "gzip", "fletcher32": True}
-    del file["masks/data"]
-    made = file.create_dataset("masks/data", shape=(values,), chunks=(values,), **options)
-    made.id.write_direct_chunk((0,), packed + packer.flush(), filter_mask=2)  # no checksum
+    packed += packer.flush()
+    for name, dtype in (("masks/data", np.float32), ("masks/indices", np.int32)):
+        del file[name]
+        options = {"dtype": dtype, "compression": "gzip", "fletcher32": True}
+        made = file.create_dataset(name, shape=(values,), chunks=(values,), **options)
+        made.id.write_direct_chunk((0,), packed, filter_mask=2)  # without a checksum
+    file["masks/indptr"][-1] = values
+
+
+def huge_without_chunks(file):
+    for name, dtype in (("masks/data", np.float32), ("masks/indices", np.int32)):
+        del file[name]
+        file.create_dataset(name, shape=(HUGE,), dtype=dtype)
+    file["masks/indptr"][-1] = HUGE
+
+
+def huge_and_consistent(file):
+    for name in ("masks/data", "masks/indices"):
+        file[name].resize(HUGE, axis=0)
+    file["masks/indptr"][-1] = HUGE
+
+
+def rows_without_end(file):
+    for name, size in (("masks/data", 0), ("masks/indices", 0), ("masks/indptr", HUGE)):
+        file[name][:] = 0
+        file[name].resize(size, axis=0)
+    file["index"][:] = 0
+    shape = file["masks"].attrs["shape"]
+    file["masks"].attrs["shape"] = [HUGE - 1, shape[1]]
 
 
 def swap_two(values):
@@ -347,7 +372,10 @@ LIES = {
     "data a single number": lambda file: (removed("masks/data")(file), put_new(file, "masks/data")),
     "data huge": resized("masks/data", HUGE),
     "data huge, in one piece": declared("masks/data", (HUGE,)),
-    "data in one huge chunk": one_huge_chunk,
+    "all in huge chunks": huge_chunks,
+    "all huge, and without chunks": huge_without_chunks,
+    "all huge, and stored nowhere": huge_and_consistent,
+    "rows without end": rows_without_end,
     "data without chunks": dataset(
         "masks/data", chunks=None, maxshape=None, compression=None, shuffle=None, fletcher32=None
     ),

@@ -20,13 +20,13 @@ import pytest
 
 from slicemask import BankError, Frustum, PoseGrid, build_bank
 
-KILLS, INTERRUPTS, LIMITS = 100, 30, 24
-BUILT, REFUSED, STOPPED, ELSE = 20, 21, 22, 23
+KILLS, INTERRUPTS, LIMITS, CROWDS = 100, 30, 24, 12
+BUILT, REUSED, REFUSED, STOPPED, ELSE = 20, 21, 22, 23, 24
 PLAN = {"poses": PoseGrid.parse("8x8x8"), "frustum": Frustum(300, 4), "cells": 16}
 OTHER = {"poses": PoseGrid.parse("2x2x4"), "frustum": Frustum(90, 2), "cells": 8}
 
 
-def fork_builder(out, limit_bytes=None):
+def fork_builder(out, limit_bytes=None, force=True):
     """Start a build in a fork of this process, and return its id once the build begins."""
     ready, begun = os.pipe()
     child = os.fork()
@@ -40,7 +40,7 @@ def fork_builder(out, limit_bytes=None):
         if limit_bytes is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
         os.write(begun, b"!")
-        build_bank(**PLAN, out=out, force=True, jobs=2)
+        result = build_bank(**PLAN, out=out, force=force, jobs=2)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # from here on it is too late
     except KeyboardInterrupt:
         sys.exit(STOPPED)
@@ -51,7 +51,7 @@ def fork_builder(out, limit_bytes=None):
         one = "\n" not in said and said.startswith(str(out)) and said.endswith(tuple(reasons))
         sys.exit(REFUSED if one else ELSE)
     # Interpreters end the usual way, so that HDF5 has its chance to crash at the end.
-    sys.exit(BUILT)
+    sys.exit(REUSED if result.reused else BUILT)
 
 
 def end_of(child):
@@ -106,6 +106,30 @@ def stop(folder, how, times):
     return {"ends": ends, "found": found, "left": left, "wrong": wrong}
 
 
+def crowd(folder):
+    """Start several builds of one bank at once; in every second crowd, kill one of them."""
+    work, whole, _, seconds = begin(folder)
+    out = work / "bank.h5"
+    rng = random.Random(7)
+    for case in range(CROWDS):
+        builders = [fork_builder(out, force=False) for _ in range(5)]
+        killed = []
+        if case % 2:
+            time.sleep(rng.uniform(0, seconds))
+            killed = [builders.pop(0)]
+            os.kill(killed[0], signal.SIGKILL)
+        ends = sorted(map(end_of, builders))
+        for child in killed:
+            end_of(child)
+        assert out.read_bytes() == whole
+        # The killed one may have been the one that built.
+        assert ends in ([BUILT] + [REUSED] * 4, [BUILT] + [REUSED] * 3, [REUSED] * 4), ends
+        assert killed or len(ends) == 5
+        assert killed or [path.name for path in work.iterdir()] == ["bank.h5"]
+        out.unlink()
+    return {"crowds": CROWDS}
+
+
 def fill(folder):
     """Build under limits on the size of files, from nothing to almost enough."""
     work, whole, other, _ = begin(folder)
@@ -147,6 +171,7 @@ def fill_disk(folder):
 TASKS = {
     "kill": lambda folder: stop(folder, signal.SIGKILL, KILLS),
     "interrupt": lambda folder: stop(folder, signal.SIGINT, INTERRUPTS),
+    "crowd": crowd,
     "fill": fill,
     "fill_disk": fill_disk,
 }
@@ -161,7 +186,11 @@ def run_task(task, folder, *before):
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    assert ran.stderr == ""  # no word from HDF5 or the interpreter, from any builder
+    # No word from HDF5 or the interpreter, from any builder. (An interrupt may fall into a function
+    # that Python calls on its own, such as a weak reference's, where it is reported and lost.)
+    assert task == "interrupt" or ran.stderr == ""
+    assert "HDF5" not in ran.stderr
+    assert "h5py" not in ran.stderr
     return json.loads(ran.stdout)
 
 
@@ -180,6 +209,10 @@ def test_an_interrupted_build_leaves_nothing_behind(tmp_path):
     assert result["ends"][str(STOPPED)] > INTERRUPTS / 4
 
 
+def test_of_many_builders_at_once_one_builds(tmp_path):
+    assert run_task("crowd", tmp_path) == {"crowds": CROWDS}
+
+
 def test_no_room_for_a_file_is_an_error_and_leaves_nothing(tmp_path):
     assert run_task("fill", tmp_path) == {"limits": LIMITS}
 
@@ -190,7 +223,8 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
         pytest.skip("needs Linux and leave to mount a file system in a name space of its own")
     ends = run_task("fill_disk", tmp_path, *alone)["ends"]
     assert set(ends) == {REFUSED, BUILT}
-    assert ends == sorted(ends, reverse=True)  # too little room, and then enough
+    enough = ends.index(BUILT)
+    assert set(ends[enough:]) == {BUILT}  # too little room, and then enough
     assert ends.count(REFUSED) >= 5
 
 
