@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
-from slicemask import BankError, open_bank
+from slicemask import BankError, BankFormatError, open_bank
 from slicemask.bank.seal import SEAL_BYTES, write_seal
 
 MEMORY_BYTES = 2 << 30  # of address space; the libraries take some 0.5 GiB of it
@@ -495,6 +495,45 @@ def test_lies_are_told_by_their_object(outcomes):
         said = outcomes[name]["sealed again"]
         assert f"lying.h5: {place}: expected " in said
         assert ", found " in said
+
+
+SAYS = {
+    "is empty, not a slicemask bank": lambda whole: b"",
+    "is not a slicemask bank": lambda whole: b"u,v,heading_deg\n0.5,0.5,0\n",
+    "is an HDF5 file but not a slicemask bank": lambda whole: whole[SEAL_BYTES:],
+    "is cut short: expected a seal of 512 bytes, found 300": lambda whole: whole[:300],
+    "is cut short: expected {size} bytes, found 5000": lambda whole: whole[:5000],
+    "is altered: expected {size} bytes, found {more}": lambda whole: whole + b"!",
+    "was altered after it was written: expected SHA-256": lambda whole: whole[:-1] + b"!",
+    "its seal (the first 512 bytes) was altered": lambda whole: whole[:511] + b"!" + whole[512:],
+    "is a bank of version 7, and this slicemask reads version 1": lambda whole: whole.replace(
+        b"slicemask-bank 1\n", b"slicemask-bank 7\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("words", SAYS)
+def test_the_error_says_what_is_wrong(tmp_path, gridded, words):
+    whole = gridded.read_bytes()
+    path = tmp_path / "bank.h5"
+    path.write_bytes(SAYS[words](whole))
+    with pytest.raises(BankFormatError) as caught:
+        open_bank(path)
+    assert str(caught.value).startswith(
+        f"{path}: {words.format(size=len(whole), more=len(whole) + 1)}"
+    )
+
+
+@pytest.mark.parametrize("kind", ["nothing", "folder", "pipe", "name too long"])
+def test_what_is_no_file_is_refused(tmp_path, kind):
+    path = tmp_path / ("x" * 5000 if kind == "name too long" else "bank.h5")
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    for check in (True, False):
+        with pytest.raises(BankError):
+            open_bank(path, check=check)
 
 
 if __name__ == "__main__":
