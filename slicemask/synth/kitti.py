@@ -107,7 +107,7 @@ def plan_drives(spec: KittiSpec) -> KittiPlan:
     """Lay out a city and choose its drives."""
     total = sum(spec.counts)
     # Enough streets for all frames, and city as far as the tiles reach.
-    reach_m = float(np.clip(np.sqrt(300.0 * total) / 2, 90.0, 400.0))
+    reach_m = float(np.clip(np.sqrt(300.0 * total) / 2, 60.0, 400.0))
     half_extent_m = reach_m + spec.tile_size / 2 * METRES_PER_PIXEL + 10.0
     city = lay_out_city((spec.seed, 100 + spec.area), half_extent_m)
     rng = spec.random(1)

@@ -13,7 +13,6 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
 from slicemask.synth import meshes
-from slicemask.synth.blocks import KERB_M
 from slicemask.synth.city import City
 from slicemask.synth.elements import CAR_BODIES, Building, Car, Colour, Facade, Kind, Landmark, Tree
 
@@ -190,7 +189,7 @@ def build_scene(city: City, view: View) -> Scene:
     """Build the scene of a city with the cars of one of the views."""
     builder = SceneBuilder()
     _add_base(builder, city)
-    add_areas(builder, city)
+    _add_areas(builder, city)
     for building in city.buildings:
         _add_roof(builder, building)
     _add_walls(builder, city.buildings)
@@ -221,21 +220,15 @@ def _add_base(builder: SceneBuilder, city: City) -> None:
     )
 
 
-def add_areas(builder: SceneBuilder, city: City) -> None:
-    """Grounds, one on another; only what is higher than a kerb shows its sides."""
+def _add_areas(builder: SceneBuilder, city: City) -> None:
+    """Grounds, one on another, each with sides so that no ray slips in below it."""
     if not city.areas:
         return
     polygons = meshes.as_polygons([area.polygon for area in city.areas])
     top = np.array([area.top_m for area in city.areas])
-    soup, owner, side = meshes.prisms(polygons, np.maximum(top - KERB_M - 0.1, 0.0), top)
-    # The sides of paint and of lots within a block cannot be seen.
-    kerb = np.isclose(top, KERB_M) | (top > 0.5)
-    shown = ~side | kerb[owner]
+    soup, owner, _ = meshes.prisms(polygons, 0.0, top)
     builder.add(
-        soup[shown],
-        owner[shown],
-        [area.kind for area in city.areas],
-        [area.colour for area in city.areas],
+        soup, owner, [area.kind for area in city.areas], [area.colour for area in city.areas]
     )
 
 

@@ -193,33 +193,31 @@ def _on_earth(places: NDArray[np.float64], info: VigorCity) -> list[tuple[float,
 def _choose_places(
     city: City, count: int, side: int, step_m: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Choose places on lanes, evenly over the tiles: float64 [count, 2].
+    """Choose places on lanes, evenly along them, float64 [count, 2].
 
     Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
-    the part that is nearest to the tile's centre, as they are in VIGOR.
+    the part that is nearest to the tile's centre, as they are in VIGOR; and no tile gets more than
+    about twice its share.
     """
     reach = (side - 1) / 2 * step_m  # cameras have tiles on all sides
-    hull = shapely.box(-reach, -reach, reach, reach)
-    lanes = np.array(city.drives(), dtype=object)
-    tree = shapely.STRtree(lanes)
-    stretches = []
-    for x, y in _tile_centres(np.arange(side**2), side, step_m):
-        cell = shapely.box(x - step_m / 2, y - step_m / 2, x + step_m / 2, y + step_m / 2)
-        ground = cell.intersection(hull)
-        inside = shapely.intersection(lanes[tree.query(ground)], ground)
-        parts = shapely.get_parts(inside)
-        parts = parts[shapely.length(parts) > 0.5]
-        if len(parts):
-            stretches.append(parts)
+    inside = shapely.intersection(
+        np.array(city.drives(), dtype=object), shapely.box(-reach, -reach, reach, reach)
+    )
+    lanes = shapely.get_parts(inside)
+    ends = np.cumsum(shapely.length(lanes))
+    most = 2 * int(np.ceil(count / side**2)) + 1
+    taken = np.zeros((side, side), dtype=int)
     places: list[NDArray[np.float64]] = []
     while len(places) < count:
-        for number in rng.permutation(len(stretches))[: count - len(places)]:
-            parts = stretches[number]
-            length = shapely.length(parts)
-            part = parts[rng.choice(len(parts), p=length / length.sum())]
-            point = shapely.line_interpolate_point(part, rng.random(), normalized=True)
-            places.append(shapely.get_coordinates(point)[0] + rng.normal(0, 0.25, 2))
-    return np.clip(places, -reach, reach)
+        along = rng.uniform(0, ends[-1])
+        lane = int(np.searchsorted(ends, along))
+        point = shapely.line_interpolate_point(lanes[lane], ends[lane] - along)
+        place = shapely.get_coordinates(point)[0] + rng.normal(0, 0.25, 2)
+        column, row = np.clip(np.rint((place + reach) / step_m).astype(int), 0, side - 1)
+        if taken[row, column] < most:
+            taken[row, column] += 1
+            places.append(np.clip(place, -reach, reach))
+    return np.array(places)
 
 
 @lru_cache(maxsize=1)
