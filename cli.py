@@ -458,7 +458,7 @@ def train(
     """Train SliceMatch; the paper's settings are the defaults."""
     _check_model_installed()
     from model.runs import plan_run
-    from model.training import train
+    from model.training import is_first_process, train
 
     asked = {name: value for name, value in settings.items() if value is not None}
     if "heading_prior" in asked:
@@ -469,6 +469,8 @@ def train(
         asked["alpha"] = None
     config, folder = plan_run(asked, config_file, out, resume)
     run = train(config, folder, resume=resume, cache=cache, progress=sys.stderr.isatty())
+    if not is_first_process():
+        return
     epochs = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     content = {"run": str(run), "epochs": len(epochs), "last_epoch": epochs[-1]}
     figures = ", ".join(f"{name} {value:.4g}" for name, value in epochs[-1].items() if "/" in name)

@@ -11,16 +11,12 @@ from typing import Any, Literal, Union
 import yaml
 
 from model.data import KittiConfig, KittiDataset, PoseDataset, VigorConfig, VigorDataset
+from model.data.kitti import SHIFT_RANGE_M, SPAN_M
 from model.data.samples import BadSamples
 from model.errors import ConfigError
 from slicemask import Frustum, PoseGrid
 
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
-
-# KITTI's cameras stand within 20 m of the centre of a 100.26 m tile, before it is turned. The
-# paper gives no extent, but 49 % of its lateral errors are below 1 m, and 15 columns over the
-# whole tile, 6.7 m apart, would allow at most 30 % (ours).
-_KITTI_EXTENT = (0.3, 0.3, 0.7, 0.7)
 
 # The paper's settings where they depend on the data (SliceMatch, CVPR 2023, section 4.2).
 _PAPER: dict[str, dict[str, Any]] = {
@@ -28,13 +24,11 @@ _PAPER: dict[str, dict[str, Any]] = {
         "ground_size": (320, 640),
         "train_grid": "7x7x16",
         "test_grid": "21x21x64",
-        "extent": (0.0, 0.0, 1.0, 1.0),
     },
     "kitti": {
         "ground_size": (256, 1024),
         "train_grid": "5x5x16",
         "test_grid": "15x15x64",
-        "extent": _KITTI_EXTENT,
     },
 }
 
@@ -64,8 +58,8 @@ class TrainConfig:
     place_prior : (u, v, radius) or None
         Leave out the candidates farther than the radius from (u, v), in the aerial frame.
     extent : (u0, v0, u1, v1) or None
-        The part of the tile that the grids fill; None for the data set's: the whole tile for
-        VIGOR, and for KITTI the middle 0.3 to 0.7, where its cameras stand (ours).
+        The part of the tile that the grids fill; None for the whole tile with VIGOR and, with
+        KITTI, the square in the middle where all cameras stand (ours).
     train_grid, test_grid : str or None
         Candidate poses, ROWSxCOLUMNSxHEADINGS; None for the paper's: VIGOR 7x7x16 and 21x21x64,
         KITTI 5x5x16 and 15x15x64.
@@ -165,6 +159,8 @@ class TrainConfig:
         for name, value in _PAPER[self.data].items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
+        if self.extent is None:
+            object.__setattr__(self, "extent", self._default_extent())
         for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("heat_map_every", "bad_samples", "seed", "workers"):
@@ -181,6 +177,22 @@ class TrainConfig:
         if self.data != "kitti":
             self._check("splits", self.splits is None, "None: only KITTI's splits lie apart")
         self.data_config()
+
+    def _default_extent(self) -> tuple[float, float, float, float]:
+        """Where the data set's cameras may stand.
+
+        KITTI's stand within 20 m of the centre of a 100.26 m tile, along and across the heading,
+        and are then turned with it. The paper does not say what its grid fills, but 49 % of its
+        lateral errors are below 1 m, and 15 columns over the whole tile would allow at most 30 %.
+        """
+        if self.data == "vigor":
+            return 0.0, 0.0, 1.0, 1.0
+        most_deg = 180.0 if self.heading_prior_deg is None else self.heading_prior_deg
+        turn = math.radians(min(45.0, most_deg))
+        reach_m = SHIFT_RANGE_M * (math.cos(turn) + math.sin(turn))
+        half = math.ceil(100 * reach_m / SPAN_M) / 100  # a hundredth, for the sake of names
+        low, high = round(0.5 - half, 2), round(0.5 + half, 2)
+        return low, low, high, high
 
     def _check(self, name: str, holds: bool, expected: str) -> None:
         if not holds:

@@ -85,9 +85,8 @@ def train(
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     # Everything that can be wrong with the request is found before the folder is touched.
     run = RunFolder(Path(out))
-    # Lightning starts one process for each further device, which finds the first one's folder.
-    first_process = int(os.environ.get("LOCAL_RANK", "0")) == 0
-    if first_process and not resume and run.path.exists() and any(run.path.iterdir()):
+    # The processes of further devices find the folder that the first one has made.
+    if is_first_process() and not resume and run.path.exists() and any(run.path.iterdir()):
         raise RunError(
             f"{run.path}: is not empty; resume the run that is there, or name another folder"
         )
@@ -117,7 +116,7 @@ def train(
         callbacks.append(RichProgressBar())
     trainer = _trainer(config, run, callbacks, progress)
 
-    if first_process:
+    if is_first_process():
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
     bad_samples = BadSamples(run.bad_samples_file, config.bad_samples)
@@ -136,6 +135,11 @@ def train(
     if trainer.is_global_zero and (message := bad_samples.report()):
         log.warning(message)
     return run.path
+
+
+def is_first_process() -> bool:
+    """Whether this is the process that was started, not one that Lightning adds for a device."""
+    return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
 def _check_same(run: RunFolder, config: TrainConfig) -> None:

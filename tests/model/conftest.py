@@ -42,13 +42,13 @@ class KittiTree:
     hfov_deg: float
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_vigor_tree():
     """The function that writes a VIGOR tree (see `write_vigor_tree`)."""
     return write_vigor_tree
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_kitti_tree():
     """The function that writes a KITTI tree (see `write_kitti_tree`)."""
     return write_kitti_tree
@@ -161,6 +161,7 @@ def write_kitti_tree(
     date="2011_09_26",
     ground_size=(125, 414),
     tile_pixels=1280,
+    blocks=24,
     range_m=40.0,
     calib=True,
     seed=0,
@@ -190,7 +191,7 @@ def write_kitti_tree(
         east = CAMERA_AHEAD_M * np.cos(heading) + CAMERA_RIGHT_M * np.sin(heading)
         north = CAMERA_AHEAD_M * np.sin(heading) - CAMERA_RIGHT_M * np.cos(heading)
         place = 0.5 + east / span_m, 0.5 - north / span_m
-        tile = texture(rng, tile_pixels, blocks=24)
+        tile = texture(rng, tile_pixels, blocks)
         view = look_around(tile, place, 90 - np.degrees(heading) + azimuth_deg, ranges)
         frame = f"{number:010d}"
         Image.fromarray(view).save(images / f"{frame}.png")

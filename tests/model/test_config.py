@@ -1,8 +1,10 @@
 """Settings of a run: the paper's defaults, what is refused, and YAML."""
 
+import numpy as np
 import pytest
 
 from model.config import TrainConfig
+from model.data.kitti import SHIFT_RANGE_M, camera_pose
 from model.errors import ConfigError
 
 
@@ -22,6 +24,26 @@ def test_the_defaults_for_kitti_are_the_papers():
     assert (config.ground_size, config.aerial_size) == ((256, 1024), 512)
     assert (config.train_grid, config.test_grid) == ("5x5x16", "15x15x64")
     assert config.heading_prior() == (90.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("prior", "low", "high"),
+    [(0, 0.3, 0.7), (10, 0.26, 0.74), (45, 0.21, 0.79), (None, 0.21, 0.79)],
+)
+def test_kittis_grid_holds_every_camera(prior, low, high):
+    config = TrainConfig(data="kitti", root="data", heading_prior_deg=prior)
+    assert config.extent == (low, low, high, high)
+    reach = 180 if prior is None else prior
+    places = [
+        camera_pose(np.array([x, y]), turn)[:2]
+        for x in (-SHIFT_RANGE_M, SHIFT_RANGE_M)
+        for y in (-SHIFT_RANGE_M, SHIFT_RANGE_M)
+        for turn in np.linspace(-reach, reach, 73)
+    ]
+    assert low <= np.min(places)
+    assert np.max(places) <= high
+    # No more than a hundredth of the tile is wasted.
+    assert np.min(places) - low < 0.01
 
 
 def test_yaml_there_and_back(tmp_path):

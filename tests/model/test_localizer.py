@@ -1,0 +1,218 @@
+"""Localising with a run, and its evaluation: what they give, not how well a model is trained."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from model.config import TrainConfig
+from model.data.errors import ImageError
+from model.errors import ConfigError, RunError
+from model.evaluation import evaluate
+from model.localizer import Estimate, Localizer
+from model.training import train
+from slicemask import Frustum, PoseGrid, build_bank
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("banks")
+
+
+@pytest.fixture(scope="module")
+def vigor(make_vigor_tree, tmp_path_factory):
+    root = tmp_path_factory.mktemp("data") / "vigor"
+    return make_vigor_tree(root, 5, panorama_size=(64, 128), tile_pixels=80)
+
+
+@pytest.fixture(scope="module")
+def run(vigor, tmp_path_factory, cache):
+    """A run trained for one epoch: its answers are poor, and as good as any to check."""
+    config = TrainConfig(
+        data="vigor",
+        root=str(vigor.root),
+        cities=("Chicago",),
+        encoder="test_convnext",
+        weights="none",
+        ground_size=(32, 64),
+        aerial_size=64,
+        slices=4,
+        train_grid="3x3x4",
+        test_grid="4x5x8",
+        epochs=1,
+        batch_size=2,
+        validation_fraction=0.0,
+        heat_map_every=0,
+        workers=0,
+        accelerator="cpu",
+    )
+    return train(config, tmp_path_factory.mktemp("runs") / "vigor", cache=cache, progress=False)
+
+
+@pytest.fixture(scope="module")
+def localizer(run, cache):
+    return Localizer.load(run, cache=cache, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def images(vigor):
+    panorama, tile, *_ = vigor.labels["Chicago"][0]
+    city = vigor.root / "Chicago"
+    return city / "panorama" / panorama, city / "satellite" / tile
+
+
+def test_an_estimate_is_the_best_candidate(localizer, images):
+    estimate = localizer.localize(*images)
+    assert estimate.scores.shape == (4, 5, 8)
+    assert estimate.heat_map.shape == (4, 5)
+    best = np.unravel_index(estimate.scores.argmax(), estimate.scores.shape)
+    np.testing.assert_array_equal(
+        estimate.pose, estimate.grid.poses()[np.ravel_multi_index(best, estimate.scores.shape)]
+    )
+    assert estimate.score == estimate.scores[best] == estimate.heat_map.max()
+    assert -1 <= estimate.scores.min() < estimate.score <= 1
+
+
+def test_it_scores_as_the_model_does_on_the_data_sets_samples(localizer, run, images):
+    from dataclasses import replace
+
+    aligned = replace(localizer.config, heading_prior_deg=0.0)
+    sample = aligned.dataset("test")[0]
+    with torch.no_grad():
+        scores = localizer.model(
+            sample["ground"][None], sample["aerial"][None], localizer.candidates
+        )
+    expected = localizer.candidates.on_grid(scores)[0].numpy()
+    np.testing.assert_allclose(localizer.localize(*images).scores, expected, atol=1e-5)
+
+
+def test_paths_pictures_and_arrays_give_the_same(localizer, images):
+    opened = [Image.open(path).convert("RGB") for path in images]
+    expected = localizer.localize(*images).scores
+    np.testing.assert_array_equal(localizer.localize(*opened).scores, expected)
+    np.testing.assert_array_equal(localizer.localize(*map(np.asarray, opened)).scores, expected)
+
+
+def test_a_tile_is_encoded_once_for_many_ground_images(run, cache, vigor, images):
+    localizer = Localizer.load(run, cache=cache, device="cpu")
+    encoded = []
+    hook = localizer.model.aerial_encoder.register_forward_hook(lambda *_: encoded.append(1))
+    panoramas = sorted((vigor.root / "Chicago" / "panorama").iterdir())
+    tile = np.asarray(Image.open(images[1]).convert("RGB")).copy()
+    for panorama in panoramas:
+        localizer.localize(panorama, images[1])
+        localizer.localize(panorama, tile)
+    assert len(encoded) == 1
+
+    known = localizer.encode_aerial(images[1])
+    scores = localizer.localize(panoramas[0], known).scores
+    assert len(encoded) == 1
+    tile[:40] = 0  # the same array with other pixels is another tile
+    assert not np.array_equal(localizer.localize(panoramas[0], tile).scores, scores)
+    assert len(encoded) == 2
+    hook.remove()
+
+
+def test_priors_leave_candidates_out(localizer, images):
+    whole = localizer.localize(*images)
+    near_north = localizer.localize(*images, heading_prior_deg=(350, 60))
+    assert np.isfinite(near_north.scores).any(axis=(0, 1)).tolist() == [
+        True, True, False, False, False, False, False, True,
+    ]  # fmt: skip
+    corner = localizer.localize(*images, place_prior=(0.1, 0.125, 0.05))
+    assert np.isfinite(corner.heat_map).sum() == 1
+    np.testing.assert_array_equal(corner.pose[:2], [0.1, 0.125])
+    kept = np.isfinite(near_north.scores)
+    np.testing.assert_allclose(near_north.scores[kept], whole.scores[kept], atol=1e-6)
+
+
+def test_a_bank_of_ones_own(run, cache, images, tmp_path):
+    frustum = Frustum(360, 4)
+    bank = build_bank(PoseGrid.parse("2x2x4"), frustum, 4, out=tmp_path / "my.h5").path
+    assert Localizer.load(run, bank, device="cpu").localize(*images).scores.shape == (2, 2, 4)
+
+    other = build_bank(PoseGrid.parse("2x2x4"), Frustum(360, 8), 4, out=tmp_path / "o.h5").path
+    with pytest.raises(ConfigError, match=r"o.h5: holds 2x2x4.* the run needs hfov 360"):
+        Localizer.load(run, other)
+    poses = build_bank([[0.5, 0.5, 0.0]], frustum, 4, out=tmp_path / "list.h5").path
+    with pytest.raises(ConfigError, match="holds a list of poses"):
+        Localizer.load(run, poses)
+    with pytest.raises(ConfigError, match="either a bank or a grid"):
+        Localizer.load(run, bank, grid="2x2x4")
+    with pytest.raises(ConfigError, match="device 'abacus' cannot be used"):
+        Localizer.load(run, cache=cache, device="abacus")
+
+
+def test_pictures_that_cannot_be(localizer, images):
+    with pytest.raises(ImageError, match="must be 1 times as wide as high"):
+        localizer.localize(images[0], images[0])
+    with pytest.raises(ImageError, match="must be 2 times as wide as high"):
+        localizer.localize(images[1], images[1])
+    with pytest.raises(ImageError, match="nowhere"):
+        localizer.localize("nowhere.jpg", images[1])
+    with pytest.raises(ConfigError, match=r"an aerial tile is an array float64 \[4, 4\]"):
+        localizer.localize(images[0], np.zeros((4, 4)))
+
+
+def test_offsets_in_metres():
+    estimate = Estimate(
+        np.array([0.75, 0.25, 90.0]), 0.5, np.zeros((1, 1, 1)), PoseGrid(1, 1, 1), 640
+    )
+    assert estimate.offset_m(0.1) == (16.0, 16.0)
+    assert estimate.as_dict(0.1) == {
+        "u": 0.75, "v": 0.25, "heading_deg": 90.0, "score": 0.5, "east_m": 16.0, "north_m": 16.0,
+    }  # fmt: skip
+    with pytest.raises(ConfigError, match="metres per pixel is -1"):
+        estimate.offset_m(-1)
+
+
+def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
+    evaluation, folder = evaluate(run, cache=cache, device="cpu")
+    assert folder == run / "evaluation" / "same-area_test_4x5x8_best"
+    assert {path.name for path in folder.iterdir()} == {
+        "result.json", "samples.csv", "errors.png", "best.png", "median.png", "worst.png",
+        "bad_samples.jsonl",
+    }  # fmt: skip
+    with (folder / "samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    result = json.loads((folder / "result.json").read_text())
+    assert [row["name"] for row in rows] == [s["name"] for s in result["per_sample"]]
+    assert len(rows) == 5
+    for n, (row, sample) in enumerate(zip(rows, result["per_sample"], strict=True)):
+        _, _, d0, d1 = vigor.labels["Chicago"][n]
+        assert float(row["true_u"]) == sample["true_u"] == 0.5 - d1 / 640
+        assert float(row["true_v"]) == sample["true_v"] == 0.5 + d0 / 640
+        du, dv = (float(row[axis]) - float(row[f"true_{axis}"]) for axis in "uv")
+        metres = np.hypot(du, dv) * 0.111262 * 640
+        assert float(row["error_place_m"]) == pytest.approx(metres)
+    errors = [sample["error_place_m"] for sample in result["per_sample"]]
+    assert result["errors"]["place_mean_m"] == pytest.approx(np.mean(errors))
+    assert result["floor"]["place_mean_m"] <= result["errors"]["place_mean_m"]
+    assert len({sample["true_heading_deg"] for sample in result["per_sample"]}) > 1
+
+    report = evaluation.report()
+    assert "floor of the grid" in report
+    assert f"{result['floor']['place_median_m']:.2f} m" in report
+
+    with pytest.raises(RunError, match="holds results already"):
+        evaluate(run, cache=cache, device="cpu")
+    again, _ = evaluate(run, cache=cache, device="cpu", overwrite=True)
+    np.testing.assert_array_equal(again.truths, evaluation.truths)
+    np.testing.assert_array_equal(again.estimates, evaluation.estimates)
+
+
+def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
+    root = shutil.copytree(vigor.root, tmp_path / "vigor")
+    broken = sorted((root / "Chicago" / "satellite").iterdir())[2]
+    broken.write_bytes(b"no picture")
+    evaluation, folder = evaluate(
+        run, root=str(root), grid="2x2x2", out=tmp_path / "out", cache=cache, device="cpu"
+    )
+    assert len(evaluation.names) == len(evaluation.estimates) == 4
+    assert "1 samples could not be read" in evaluation.report()
+    (fault,) = json.loads((folder / "result.json").read_text())["bad_samples"].values()
+    assert str(broken) in fault
