@@ -417,6 +417,26 @@ def test_an_eighth_of_the_distinct_slices_is_computed(default_bank):
     assert 28_224 / 8 <= computed <= 28_224 / 8 * 1.15
 
 
+@pytest.mark.parametrize(
+    ("grid", "frustum", "rows"),
+    [
+        # All of the tile, whatever the pose.
+        (PoseGrid.parse("3x4x5"), Frustum(360, 1), 1),
+        # Four vertical lines and four horizontal ones, with two sides each.
+        (PoseGrid.parse("4x4x4"), Frustum(180, 1), 16),
+        (PoseGrid.parse("4x4x4"), Frustum(360, 2), 16),
+        # From a corner, along the edges: all or nothing.
+        (PoseGrid(2, 2, 4, places="endpoints"), Frustum(180, 1), 2),
+        # Quadrants: from corners all or nothing, from edges 4 halves, from the centre 4 quarters.
+        (PoseGrid(3, 3, 4, places="endpoints"), Frustum(360, 4), 2 + 4 + 4),
+    ],
+)
+def test_slices_that_no_place_is_tied_to_are_one_row(tmp_path, grid, frustum, rows):
+    path = build_bank(grid, frustum, 4, cache=tmp_path).path
+    with open_bank(path) as bank:
+        assert bank.rows == rows
+
+
 def test_images_and_repetitions_cost_no_more_sectors(tmp_path):
     rng = np.random.default_rng(5)
     base = np.column_stack([rng.random((40, 2)), 360 * rng.random(40)])

@@ -12,7 +12,15 @@ import pytest
 from anndata.io import read_elem
 
 import slicemask
-from slicemask import BankSpec, Frustum, PoseGrid, build_bank, open_bank, slice_masks
+from slicemask import (
+    BankFormatError,
+    BankSpec,
+    Frustum,
+    PoseGrid,
+    build_bank,
+    open_bank,
+    slice_masks,
+)
 
 TINY = Path(__file__).parent / "data" / "tiny_v1.h5"
 DATASETS = {
@@ -182,6 +190,22 @@ def test_the_spec_is_complete(path, tmp_path):
     assert BankSpec.from_json(spec.to_json()) == spec
     assert spec.versions["slicemask"] == slicemask.__version__
     assert {"numpy", "h5py", "hdf5", "shapely", "geos"} <= set(spec.versions)
+
+
+@pytest.mark.parametrize(
+    "digest",
+    [
+        {"count": 0, "sha256": "0" * 64},
+        {"count": 2**31, "sha256": "0" * 64},
+        {"count": "3", "sha256": "0" * 64},
+        {"count": 3, "sha256": 5},
+        {"count": 3, "sha256": "0" * 63},
+    ],
+)
+def test_a_spec_with_an_impossible_digest_is_refused(digest):
+    text = json.dumps({"poses": digest, "frustum": {}, "cells": 2})
+    with pytest.raises(BankFormatError, match="the spec cannot be read"):
+        BankSpec.from_json(text)
 
 
 @pytest.mark.parametrize("engine", ["shapely", "rays"])

@@ -20,7 +20,7 @@ import pytest
 
 from slicemask import BankError, Frustum, PoseGrid, build_bank
 
-KILLS, INTERRUPTS, LIMITS, CROWDS = 100, 30, 24, 12
+KILLS, INTERRUPTS, LIMITS, CROWDS = 100, 30, 24, 8
 BUILT, REUSED, REFUSED, STOPPED, ELSE = 20, 21, 22, 23, 24
 PLAN = {"poses": PoseGrid.parse("8x8x8"), "frustum": Frustum(300, 4), "cells": 16}
 OTHER = {"poses": PoseGrid.parse("2x2x4"), "frustum": Frustum(90, 2), "cells": 8}
