@@ -20,7 +20,7 @@ def random_slices(count: int, seed: int = 0) -> tuple[np.ndarray, ...]:
 
 def plain_loop_seconds(count: int, cells: int = 32) -> float:
     """Seconds a mask of ``polygon.intersection(cell).area`` over every cell, in a Python loop."""
-    boxes = cell_boxes(cells)
+    boxes = cell_boxes(np.arange(cells**2), cells)
     polygons = sector_polygons(*random_slices(count))
     start = time.perf_counter()
     for polygon in polygons:

@@ -40,33 +40,67 @@ class Batch:
 
 
 class PoseSource(Protocol):
-    """Where batches come from: places, and the poses of each."""
+    """Poses, in batches to compute and in order to store."""
 
-    u: NDArray[np.float64]
-    v: NDArray[np.float64]
-    counts: NDArray[np.int64]
+    def batches(self, most_poses: int) -> Iterator[Batch]:
+        """Cut the poses into batches of about ``most_poses``, more only if one orbit has more.
 
-    def batch(self, places: NDArray[np.int64]) -> Batch:
-        """Return the poses of some places."""
+        The cut depends on the poses and that number alone, so that a bank's rows always come in
+        the same order.
+        """
 
     def pieces(self) -> Iterator[NDArray[np.float64]]:
         """Yield all poses in the bank's order, in pieces [k, 3]."""
 
 
 class GridSource:
-    """The poses of a grid, made as they are needed."""
+    """The poses of a grid, made as they are needed: nothing is held for each."""
 
     def __init__(self, grid: PoseGrid):
         self._grid = grid
-        self.v, self.u = (axis.ravel() for axis in np.meshgrid(grid.v, grid.u, indexing="ij"))
-        self.counts = np.full(len(self.u), grid.headings)
 
-    def batch(self, places: NDArray[np.int64]) -> Batch:
-        """Return the poses of some places."""
+    def batches(self, most_poses: int) -> Iterator[Batch]:
+        """Cut the poses into batches; see `PoseSource`."""
+        places: list[NDArray[np.int64]] = []
+        count = 0
+        for orbit in self._orbits():
+            if places and (count + len(orbit)) * self._grid.headings > most_poses:
+                yield self._batch(np.concatenate(places))
+                places, count = [], 0
+            places.append(orbit)
+            count += len(orbit)
+        yield self._batch(np.concatenate(places))
+
+    def _orbits(self) -> Iterator[NDArray[np.int64]]:
+        """Yield the places (row * columns + column) of each orbit of the symmetries."""
+        columns = self._grid.columns
+        p, q, _ = offset_codes(self._grid.u, self._grid.v)
+        # A place's images have the same two distances from the centre's lines, in either order.
+        column_at: dict[int, list[int]] = {}
+        row_at: dict[int, list[int]] = {}
+        for at, codes in ((column_at, p), (row_at, q)):
+            for number, code in enumerate(np.abs(codes).tolist()):
+                at.setdefault(code, []).append(number)
+        distances = sorted({*column_at, *row_at})
+        for far in distances:
+            for near in distances:
+                if near > far:
+                    break
+                orbit = [
+                    row * columns + column
+                    for one, other in {(near, far), (far, near)}
+                    for row in row_at.get(other, ())
+                    for column in column_at.get(one, ())
+                ]
+                if orbit:
+                    yield np.array(sorted(orbit))
+
+    def _batch(self, places: NDArray[np.int64]) -> Batch:
         headings = self._grid.headings
+        row, column = np.divmod(places, self._grid.columns)
         return Batch(
-            self.u[places],
-            self.v[places],
+            self._grid.u[column],
+            self._grid.v[row],
             (places[:, None] * headings + np.arange(headings)).ravel(),
             np.repeat(np.arange(len(places)), headings),
             np.tile(self._grid.headings_deg, len(places)),
@@ -79,47 +113,33 @@ class GridSource:
 
 
 class ListSource:
-    """The poses of a list, sorted by place once."""
+    """The poses of a list, sorted by orbit and place."""
 
     def __init__(self, poses: NDArray[np.float64]):
         self._poses = poses
-        u, v = poses[:, 0], poses[:, 1]
-        self._order = np.lexsort((v, u))
-        fresh = np.ones(len(poses), dtype=bool)
-        fresh[1:] = (np.diff(u[self._order]) != 0) | (np.diff(v[self._order]) != 0)
-        self._starts = np.flatnonzero(fresh)
-        self.counts = np.diff(np.append(self._starts, len(poses)))
-        self.u, self.v = u[self._order[self._starts]], v[self._order[self._starts]]
 
-    def batch(self, places: NDArray[np.int64]) -> Batch:
-        """Return the poses of some places."""
-        counts = self.counts[places]
-        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        pose = self._order[np.repeat(self._starts[places], counts) + within]
-        place = np.repeat(np.arange(len(places)), counts)
-        return Batch(self.u[places], self.v[places], pose, place, self._poses[pose, 2])
+    def batches(self, most_poses: int) -> Iterator[Batch]:
+        """Cut the poses into batches; see `PoseSource`."""
+        u, v = self._poses[:, 0], self._poses[:, 1]
+        p, q, _ = offset_codes(u, v)
+        near, far = np.minimum(np.abs(p), np.abs(q)), np.maximum(np.abs(p), np.abs(q))
+        order = np.lexsort((q, p, near, far))
+        turns = (np.diff(near[order]) != 0) | (np.diff(far[order]) != 0)
+        ends = np.append(np.flatnonzero(turns) + 1, len(order))  # of each orbit
+        start = 0
+        while start < len(order):
+            fits = int(np.searchsorted(ends, start + most_poses, side="right"))
+            end = int(ends[max(fits - 1, int(np.searchsorted(ends, start, side="right")))])
+            yield self._batch(order[start:end], p, q)
+            start = end
+
+    def _batch(self, pose: NDArray[np.int64], p: NDArray[np.int64], q: NDArray[np.int64]) -> Batch:
+        fresh = (np.diff(p[pose]) != 0) | (np.diff(q[pose]) != 0)
+        place = np.concatenate([[0], np.cumsum(fresh)])
+        first = pose[np.concatenate([[0], np.flatnonzero(fresh) + 1])]
+        u, v, heading_deg = self._poses.T
+        return Batch(u[first], v[first], pose, place, heading_deg[pose])
 
     def pieces(self) -> Iterator[NDArray[np.float64]]:
         """Yield all poses in the bank's order, in pieces [k, 3]."""
         yield self._poses
-
-
-def batches(source: PoseSource, most_poses: int) -> Iterator[Batch]:
-    """Cut poses into batches of about ``most_poses``, more only if a single place's images ask.
-
-    The cut depends on the poses and that number alone, so that a bank's rows always come in the
-    same order.
-    """
-    p, q, _ = offset_codes(source.u, source.v)
-    near, far = np.minimum(np.abs(p), np.abs(q)), np.maximum(np.abs(p), np.abs(q))
-    order = np.lexsort((near, far))
-    ends = np.flatnonzero(
-        (np.diff(near[order], append=-1) != 0) | (np.diff(far[order], append=-1) != 0)
-    )  # the last place of each set of images
-    poses_until = np.cumsum(source.counts[order])[ends]
-    start, done = 0, 0
-    while start < len(order):
-        orbit = int(np.searchsorted(poses_until, done + most_poses, side="right")) - 1
-        orbit = max(orbit, int(np.searchsorted(ends, start)))
-        yield source.batch(order[start : ends[orbit] + 1])
-        start, done = int(ends[orbit]) + 1, int(poses_until[orbit])

@@ -1,10 +1,10 @@
 """Building a bank: distinct slices of each batch, their masks, and the rows of the file."""
 
+import contextlib
+import functools
 import os
 import tempfile
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import slicemask
-from slicemask.bank.batches import Batch, GridSource, ListSource, PoseSource, batches
+from slicemask.bank.batches import GridSource, ListSource, PoseSource
 from slicemask.bank.cache import bank_path
 from slicemask.bank.read import open_bank
+from slicemask.bank.rows import cut, in_order, mask_rows
 from slicemask.bank.seal import has_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.threads import thread_count
@@ -29,12 +30,10 @@ from slicemask.geometry.distinct import (
     distinct_slices,
 )
 from slicemask.geometry.frustum import Frustum
-from slicemask.geometry.masks import Engine, engine_fractions, tidy
+from slicemask.geometry.masks import Engine
 from slicemask.geometry.poses import PoseGrid, check_poses
-from slicemask.geometry.symmetry import SYMMETRIES
 
-# Mask values that a batch may hold as dense arrays, and slices it may have: what bounds memory.
-_DENSE_VALUES = 1 << 18
+# Slices that a batch may have, and values of their masks: what bounds memory.
 _BATCH_VALUES = 1 << 26
 _BATCH_SLICES = 1 << 16
 # Bytes of a new file that are written at once.
@@ -60,15 +59,6 @@ class BuildResult:
     path: Path
     reused: bool
     rows: int
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """CSR rows: nonzeros of each row, their cells, and the fractions."""
-
-    counts: NDArray[np.int64]
-    indices: NDArray[np.int32]
-    data: NDArray[np.float32]
 
 
 def build_bank(
@@ -199,9 +189,6 @@ def _build(
 ) -> int:
     """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
-    most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
-    work = batches(source, max(1, most // slices))
-    done = 0
     with (
         BankWriter(path, spec) as writer,
         # The index is filled in batch by batch, out of order. A nameless file holds it: it is
@@ -215,121 +202,59 @@ def _build(
             scratch.write(bytes(min(_ZEROS, size - start)))
         scratch.flush()
         index = np.memmap(scratch, dtype=np.int32, mode="r+", shape=(total, slices))
-        loose: list[Loose] = []
-        loose_at: list[NDArray[np.int64]] = []
-        found = 0
-        for batch, number, free, rows in _in_order(work, spec, jobs):
-            first = writer.add_rows(rows.counts, rows.indices, rows.data)
-            placed = np.where(number >= 0, first + number, number)
-            if len(free.shape):
-                where = np.nonzero(number < 0)
-                loose_at.append(batch.pose[where[0]] * slices + where[1])
-                placed[where] += -found  # -1 - an index among all loose slices
-                loose.append(free)
-                found += len(free.shape)
-            index[batch.pose] = placed
-            done += len(batch.pose)
-            if progress:
-                progress(done, total)
-        if found:
-            images, row = distinct_loose(_joined_loose(loose))
-            first = writer.rows
-            for rows in _mask_rows(images, spec):
+        compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
+        with contextlib.closing(in_order(compute, _pieces(source, spec, index), jobs)) as computed:
+            _report(progress, 0.0, total)
+            for share, rows in computed:
                 writer.add_rows(rows.counts, rows.indices, rows.data)
-            at = np.concatenate(loose_at)
-            flat = index.reshape(-1)
-            flat[at] = first + row[-1 - flat[at]]
+                _report(progress, share, total)
+        _report(progress, 1.0, total)
         writer.finish(index, source.pieces())
     return writer.rows
 
 
-def _joined_rows(pieces: Iterator[_Rows]) -> _Rows:
-    parts = list(pieces)
-    if not parts:
-        return _Rows(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    return _Rows(
-        np.concatenate([part.counts for part in parts]),
-        np.concatenate([part.indices for part in parts]),
-        np.concatenate([part.data for part in parts]),
-    )
+def _report(progress: Progress | None, share: float, total: int) -> None:
+    if progress:
+        progress(round(share * total), total)
 
 
-def _joined_loose(loose: list[Loose]) -> Loose:
-    return Loose(
-        np.concatenate([some.shape for some in loose]),
-        np.concatenate([some.left_deg for some in loose]),
-        np.concatenate([some.offset for some in loose]),
-    )
+def _pieces(
+    source: PoseSource, spec: BankSpec, index: NDArray[np.int32]
+) -> Iterator[tuple[float, Images]]:
+    """Distinct slices whose masks are the bank's rows, in order and in pieces; fills the index.
 
-
-_Done = tuple[Batch, NDArray[np.int64], Loose, _Rows]
-
-
-def _in_order(work: Iterator[Batch], spec: BankSpec, jobs: int) -> Iterator[_Done]:
-    """Compute batches on threads, and yield them in order with few waiting."""
-
-    def compute(batch: Batch) -> _Done:
+    With each piece comes the share of the work that is done after it, in [0, 1].
+    """
+    slices = spec.frustum.slices
+    most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
+    rows, found, done = 0, 0, 0.0
+    loose: list[Loose] = []
+    loose_at: list[NDArray[np.int64]] = []
+    for batch in source.batches(max(1, most // slices)):
         distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, spec.frustum)
-        return (
-            batch,
-            distinct.slice_of,
-            distinct.loose,
-            _joined_rows(_mask_rows(distinct.wedges, spec)),
-        )
-
-    # NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
-    pool = ThreadPoolExecutor(jobs)
-    try:
-        waiting: deque[Future[_Done]] = deque()
-        for batch in work:
-            waiting.append(pool.submit(compute, batch))
-            # Enough for every thread to find work while the oldest batch is written.
-            if len(waiting) > 2 * jobs:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _mask_rows(images: Images, spec: BankSpec) -> Iterator[_Rows]:
-    """CSR rows of slices that are images of sectors, in the slices' order, in pieces."""
-    cells = spec.cells
-    fractions = _sector_masks(images, spec)
-    step = max(1, _DENSE_VALUES // cells**2)
-    for start in range(0, len(images.sector), step):
-        sector = images.sector[start : start + step]
-        symmetry = images.symmetry[start : start + step]
-        dense = np.empty((len(sector), cells, cells), dtype=np.float32)
-        for number in np.unique(symmetry):
-            some = np.flatnonzero(symmetry == number)
-            moved = SYMMETRIES[number].masks(fractions[sector[some]])
-            dense[some] = np.ascontiguousarray(moved)  # twice as fast as from a strided view
-        flat = dense.reshape(-1)
-        at = np.flatnonzero(flat != 0.0)
-        row_starts = np.arange(len(sector) + 1) * cells**2
-        counts = np.diff(np.searchsorted(at, row_starts))
-        cell = at - np.repeat(row_starts[:-1], counts)
-        yield _Rows(counts, cell.astype(np.int32), flat[at])
-
-
-def _sector_masks(images: Images, spec: BankSpec) -> NDArray[np.float32]:
-    """Masks of the sectors, float32 [R, L, L], without rounding noise."""
-    cells = spec.cells
-    masks = np.zeros((len(images.u), cells, cells), dtype=np.float32)
-    width_deg = images.right_deg - images.left_deg
-    masks[width_deg == 360.0] = 1.0
-    engine = engine_fractions(spec.engine)
-    partial = np.flatnonzero((width_deg > 0.0) & (width_deg < 360.0))
-    step = max(1, _DENSE_VALUES // cells**2)
-    for start in range(0, len(partial), step):
-        some = partial[start : start + step]
-        masks[some] = tidy(
-            engine(
-                images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
-            )
-        )
-    return masks
+        number = distinct.slice_of
+        tied = number >= 0
+        placed = np.where(tied, rows + number, number - found)  # loose: -1 - a number among all
+        index[batch.pose] = placed
+        if len(distinct.loose.shape):
+            pose, n = np.nonzero(~tied)
+            loose_at.append(batch.pose[pose] * slices + n)
+            loose.append(distinct.loose)
+            found += len(distinct.loose.shape)
+        wedges = distinct.wedges
+        rows += len(wedges.sector)
+        for piece in cut(wedges, spec.cells):
+            done += np.count_nonzero(tied) * len(piece.sector) / len(wedges.sector) / index.size
+            yield done, piece
+    if loose:
+        images, row = distinct_loose(Loose.joined(loose))
+        flat = index.reshape(-1)
+        at = np.concatenate(loose_at)
+        flat[at] = rows + row[-1 - flat[at]]
+        rest = 1.0 - done
+        for piece in cut(images, spec.cells):
+            done += rest * len(piece.sector) / len(images.sector)
+            yield done, piece
 
 
 def _reason(error: BaseException) -> str:

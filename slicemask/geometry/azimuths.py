@@ -4,8 +4,6 @@ import math
 from types import ModuleType
 from typing import Any
 
-_HALF_SQRT = math.sqrt(0.5)
-
 
 def direction(azimuth_deg: Any, xp: ModuleType) -> tuple[Any, Any]:
     """Unit vectors of azimuths, in the aerial frame.
@@ -28,8 +26,11 @@ def direction(azimuth_deg: Any, xp: ModuleType) -> tuple[Any, Any]:
     rest_deg = azimuth_deg - 90.0 * turns  # in [-45, 45]
     rest = rest_deg * (math.pi / 180.0)
     diagonal = xp.abs(rest_deg) == 45.0
-    sine = xp.where(diagonal, xp.sign(rest_deg) * _HALF_SQRT, xp.sin(rest))
-    cosine = xp.where(diagonal, _HALF_SQRT * xp.ones_like(rest), xp.cos(rest))
+    sine = xp.sin(rest)
+    # On a diagonal the cosine is taken as the sine of the other 45 degrees: the same number, and
+    # with the right derivative.
+    other = (90.0 - xp.abs(rest_deg)) * (math.pi / 180.0)
+    cosine = xp.where(diagonal, xp.sin(other), xp.cos(rest))
     quadrant = turns - 4.0 * xp.floor(turns / 4.0)
     sideways = (quadrant == 1.0) | (quadrant == 3.0)
     sin_sign = xp.where(quadrant >= 2.0, -xp.ones_like(rest), xp.ones_like(rest))

@@ -60,12 +60,10 @@ def sector_polygons(u: Array, v: Array, left_deg: Array, right_deg: Array) -> ND
     return polygons
 
 
-def cell_boxes(cells: int) -> NDArray[np.object_]:
-    """The L * L cells of the tile as Shapely boxes, in flat index order."""
-    edges = np.arange(cells + 1) / cells
-    v0, u0 = (grid.ravel() for grid in np.meshgrid(edges[:-1], edges[:-1], indexing="ij"))
-    v1, u1 = (grid.ravel() for grid in np.meshgrid(edges[1:], edges[1:], indexing="ij"))
-    return np.asarray(shapely.box(u0, v0, u1, v1))
+def cell_boxes(flat: NDArray[np.int64], cells: int) -> NDArray[np.object_]:
+    """Cells of the tile, given by their flat indices i * L + j, as Shapely boxes."""
+    i, j = np.divmod(flat, cells)
+    return np.asarray(shapely.box(j / cells, i / cells, (j + 1) / cells, (i + 1) / cells))
 
 
 def sector_fractions(u: Array, v: Array, left_deg: Array, right_deg: Array, cells: int) -> Array:
@@ -75,7 +73,6 @@ def sector_fractions(u: Array, v: Array, left_deg: Array, right_deg: Array, cell
     cameras u, v [B], edge azimuths left_deg < right_deg <= left_deg + 360 [B]; float64 [B, L, L].
     """
     fractions = np.empty((len(u), cells * cells))
-    boxes = cell_boxes(cells)
     step = max(1, _LATTICE_VALUES // (cells + 1) ** 2)
     for start in range(0, len(u), step):
         some = slice(start, start + step)
@@ -84,7 +81,10 @@ def sector_fractions(u: Array, v: Array, left_deg: Array, right_deg: Array, cell
         fractions[some] = full.reshape(len(full), -1)
         which, cell = np.nonzero(crossed.reshape(len(full), -1))
         # Polygons and boxes are paired up and intersected in one vectorised call.
-        shares = shapely.area(shapely.intersection(sector_polygons(*batch)[which], boxes[cell]))
+        # Cells are shared by many slices: their boxes are made once.
+        some_cells, at = np.unique(cell, return_inverse=True)
+        boxes = cell_boxes(some_cells, cells)[at]
+        shares = shapely.area(shapely.intersection(sector_polygons(*batch)[which], boxes))
         fractions[start + which, cell] = shares * (cells * cells)
     return fractions.reshape(len(u), cells, cells)
 

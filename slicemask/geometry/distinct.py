@@ -42,7 +42,7 @@ class Shape(IntEnum):
 
 @dataclass(frozen=True)
 class Images:
-    """Slices as images of others: slice s is symmetry ``symmetry[s]`` of sector ``sector[s]``.
+    """Slices as images of sectors: slice s is symmetry ``symmetry[s]`` of sector ``sector[s]``.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Images:
         The sectors whose masks are to be computed. One of no width is empty, one of 360 degrees
         full.
     sector : int64 [S]
-        Which of them each slice is an image of.
+        Which of them each slice is an image of, ascending.
     symmetry : int64 [S]
         Index into `slicemask.geometry.symmetry.SYMMETRIES`.
     """
@@ -81,6 +81,15 @@ class Loose:
     left_deg: Array
     offset: Array
 
+    @classmethod
+    def joined(cls, parts: "list[Loose]") -> "Loose":
+        """Return those of several sets, one after another."""
+        return cls(
+            np.concatenate([part.shape for part in parts]),
+            np.concatenate([part.left_deg for part in parts]),
+            np.concatenate([part.offset for part in parts]),
+        )
+
 
 @dataclass(frozen=True)
 class Distinct:
@@ -89,7 +98,7 @@ class Distinct:
     Parameters
     ----------
     wedges : Images
-        The distinct slices tied to a place, in order of place, left and right edge.
+        The distinct slices tied to a place.
     loose : Loose
         The distinct other slices of each place.
     slice_of : int64 [n, N]
@@ -133,7 +142,7 @@ def distinct_slices(
         p[at], q[at], edge, left[kind], right[kind], quarter, left_deg[kind], right_deg[kind]
     )
     tied = shape == Shape.WEDGE
-    wedges = _images(
+    wedges, rank = _images(
         (u[at[tied]], v[at[tied]], left_deg[kind[tied]], right_deg[kind[tied]]),
         (p[at[tied]], q[at[tied]], left[kind[tied]], right[kind[tied]]),
         quarter,
@@ -142,7 +151,8 @@ def distinct_slices(
     du, dv = direction(half_deg[free], np)
     offset = du * (0.5 - v[at[free]]) - dv * (0.5 - u[at[free]])
     loose = Loose(shape[free], half_deg[free], np.where(shape[free] == Shape.HALF, offset, 0.0))
-    number = np.where(tied, np.cumsum(tied) - 1, -np.cumsum(free))
+    number = -np.cumsum(free)
+    number[tied] = rank
     return Distinct(wedges, loose, number[slice_of].reshape(len(place), frustum.slices))
 
 
@@ -172,10 +182,10 @@ def distinct_loose(loose: Loose) -> tuple[Images, Codes]:
     still = np.zeros_like(place)
     left = codes[first]
     right = (left + np.where(shape == Shape.HALF, 2 * quarter, 0)) % (4 * quarter)
-    images = _images(
+    images, rank = _images(
         (u, v, left_deg, left_deg + width), (still, still, left, right), quarter, place
     )
-    return images, row.ravel()
+    return images, rank[row.ravel()]
 
 
 def _shapes(
@@ -229,8 +239,8 @@ def _images(
     codes: tuple[Codes, Codes, Codes, Codes],
     quarter: int,
     place: Any = 0,
-) -> Images:
-    """Bring slices under the eight symmetries together.
+) -> tuple[Images, Codes]:
+    """Bring slices under the eight symmetries together; give also each slice's number among them.
 
     Of a slice's eight images, the one with the smallest codes stands for all of them. ``sectors``
     are u, v, left_deg, right_deg [S] and ``codes`` p, q, left, right [S]; ``place`` [S] parts
@@ -240,7 +250,7 @@ def _images(
     p, q, left, right = codes
     if len(u) == 0:
         none = np.zeros(0, dtype=np.int64)
-        return Images(u, v, left_deg, right_deg, none, none)
+        return Images(u, v, left_deg, right_deg, none, none), none
     turn = 4 * quarter
     span = 2 * int(max(np.abs(p).max(), np.abs(q).max())) + 1
     best_place = best_edges = np.full(len(u), np.iinfo(np.int64).max)
@@ -271,7 +281,11 @@ def _images(
         for target, image in zip(chosen, images, strict=True):
             target[some] = image
     inverse = np.array([SYMMETRIES.index(symmetry.inverse) for symmetry in SYMMETRIES])
-    return Images(chosen[0], chosen[1], chosen[2], chosen[3], sector, inverse[best])
+    order = np.argsort(sector, kind="stable")
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    u, v, left_deg, right_deg = chosen
+    return Images(u, v, left_deg, right_deg, sector[order], inverse[best][order]), rank
 
 
 def _unique(keys: Codes, size: int) -> tuple[Codes, Codes]:

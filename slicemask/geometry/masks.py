@@ -55,7 +55,8 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     engine : {"shapely", "rays"}
         Polygons and intersections, or the closed form. They agree to 1e-9. With "rays", poses
         may be any array of the Python array API standard, such as a torch tensor on any device:
-        the masks are then of its kind and dtype, with gradients in u, v and heading_deg.
+        the masks are then of its kind and dtype (float32 or float64; computed in float64), with
+        gradients in u, v and heading_deg.
 
     Returns
     -------
@@ -106,6 +107,10 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
         raise PoseError(
             f"poses have shape {list(poses.shape)}; they must be [K, 3]: u, v, heading_deg"
         )
+    dtype = poses.dtype
+    if dtype not in (xp.float32, xp.float64):
+        raise PoseError(f"poses are {dtype}; they must be float32 or float64")
+    poses = xp.astype(poses, xp.float64)
     places = poses[:, :2]
     if not bool(xp.all(xp.isfinite(poses)) & xp.all((places >= 0.0) & (places <= 1.0))):
         valid = xp.all(xp.isfinite(poses), axis=1) & xp.all(
@@ -126,4 +131,4 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
     left, right = (xp.reshape(side, (-1,)) for side in (edges[:, :-1], edges[:, 1:]))
     widest_deg = float(np.diff(frustum.edge_offsets_deg()).max())
     fractions = engine_fractions("rays")(u, v, left, right, cells, widest_deg)
-    return xp.reshape(fractions, (*shape, cells, cells))
+    return xp.astype(xp.reshape(fractions, (*shape, cells, cells)), dtype)

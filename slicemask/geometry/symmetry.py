@@ -82,11 +82,18 @@ SYMMETRIES = tuple(Symmetry(*flags) for flags in product((False, True), repeat=3
 
 
 def cluster(values: Array, tolerance: float) -> Codes:
-    """Number values from 0 in ascending order; those within tolerance of a neighbour share one."""
+    """Number values from 0 in ascending order; those within tolerance of a neighbour share one.
+
+    A chain of neighbours that is longer than the tolerance is cut into parts that are not.
+    """
     order = np.argsort(values)
-    steps = np.diff(values[order]) > tolerance
+    ascending = values[order]
+    start = np.concatenate([[True], np.diff(ascending) > tolerance])
+    first = np.maximum.accumulate(np.where(start, np.arange(len(values)), 0))
+    part = np.floor((ascending - ascending[first]) / (2.0 * tolerance))
+    start[1:] |= np.diff(part) != 0
     labels = np.empty(len(values), dtype=np.int64)
-    labels[order] = np.concatenate([[0], np.cumsum(steps)])
+    labels[order] = np.cumsum(start) - 1
     return labels
 
 

@@ -119,6 +119,13 @@ def test_a_symmetry_permutes_the_masks_of_the_slices_it_moves(symmetry):
     assert np.array_equal(symmetry.inverse.masks(symmetry.masks(masks)), masks)
 
 
+def test_a_chain_of_near_neighbours_is_not_one_value():
+    headings = np.arange(2000) * 9e-12
+    codes, _ = azimuth_codes(headings)
+    values = np.array([headings[codes == code].mean() for code in np.unique(codes)])
+    assert np.abs(values[np.unique(codes, return_inverse=True)[1]] - headings).max() < 2e-11
+
+
 def test_codes_see_through_rounding():
     thirds = np.array([1 / 3, 0.1 + 0.2 + 1 / 30, 2 / 3, 1 - 1 / 3, 0.5, 0.0, 1.0])
     p, q, edge = offset_codes(thirds, thirds)

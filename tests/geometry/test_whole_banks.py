@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slicemask import Frustum, PoseGrid
-from slicemask.bank.batches import GridSource, batches
+from slicemask.bank.batches import GridSource
 from slicemask.geometry.distinct import distinct_slices
 from slicemask.geometry.masks import engine_fractions
 
@@ -19,7 +19,7 @@ BANKS = {
 def test_engines_agree_on_every_sector(name):
     grid, frustum, rows = BANKS[name]
     found = slices = 0
-    for batch in batches(GridSource(grid), most_poses=2000):
+    for batch in GridSource(grid).batches(most_poses=2000):
         distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, frustum)
         assert len(distinct.loose.shape) == 0
         wedges = distinct.wedges

@@ -1,0 +1,127 @@
+"""From distinct slices to CSR rows, in pieces that threads compute and a file takes in order."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slicemask.geometry.distinct import Images
+from slicemask.geometry.masks import Engine, engine_fractions, tidy
+from slicemask.geometry.symmetry import SYMMETRIES
+
+# Values of sectors' masks that a piece has, at most.
+_PIECE_VALUES = 1 << 18
+
+_Piece = TypeVar("_Piece")
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """CSR rows.
+
+    Parameters
+    ----------
+    counts : int64 [r]
+        Nonzeros of each row.
+    indices : int32 [nnz]
+        Their cells, i * L + j, ascending in a row.
+    data : float32 [nnz]
+        Their fractions.
+    """
+
+    counts: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    data: NDArray[np.float32]
+
+
+def cut(images: Images, cells: int) -> Iterator[Images]:
+    """Cut slices into pieces of bounded size; a sector's images stay together."""
+    step = max(1, _PIECE_VALUES // cells**2)
+    for start in range(0, len(images.u), step):
+        sectors = slice(start, start + step)
+        first, last = np.searchsorted(images.sector, [start, start + step])
+        yield Images(
+            images.u[sectors],
+            images.v[sectors],
+            images.left_deg[sectors],
+            images.right_deg[sectors],
+            images.sector[first:last] - start,
+            images.symmetry[first:last],
+        )
+
+
+def mask_rows(images: Images, cells: int, engine: Engine) -> Rows:
+    """Compute the sectors' masks, and give the rows of their images in order."""
+    sectors = _sector_masks(images, cells, engine)
+    # A few images at a time stay in the processor's cache.
+    step = max(1, _PIECE_VALUES // cells**2)
+    parts = [
+        _image_rows(sectors, images.sector[start : start + step],
+                    images.symmetry[start : start + step])
+        for start in range(0, len(images.sector), step)
+    ]  # fmt: skip
+    return Rows(
+        np.concatenate([part.counts for part in parts]),
+        np.concatenate([part.indices for part in parts]),
+        np.concatenate([part.data for part in parts]),
+    )
+
+
+def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.float32]:
+    """Masks of the sectors, float32 [R, L, L], without rounding noise."""
+    masks = np.zeros((len(images.u), cells, cells), dtype=np.float32)
+    width_deg = images.right_deg - images.left_deg
+    masks[width_deg == 360.0] = 1.0
+    some = np.flatnonzero((width_deg > 0.0) & (width_deg < 360.0))
+    fractions = engine_fractions(engine)(
+        images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
+    )
+    masks[some] = tidy(fractions)
+    return masks
+
+
+def _image_rows(
+    sectors: NDArray[np.float32], sector: NDArray[np.int64], symmetry: NDArray[np.int64]
+) -> Rows:
+    """Rows of images of sectors' masks [R, L, L]."""
+    values = sectors[0].size
+    dense = np.empty((len(sector), *sectors.shape[1:]), dtype=np.float32)
+    for number in np.unique(symmetry):
+        some = np.flatnonzero(symmetry == number)
+        moved = SYMMETRIES[number].masks(sectors[sector[some]])
+        dense[some] = np.ascontiguousarray(moved)  # twice as fast as from a strided view
+    flat = dense.reshape(-1)
+    at = np.flatnonzero(flat != 0.0)
+    starts = np.arange(len(sector) + 1) * values
+    counts = np.diff(np.searchsorted(at, starts))
+    cell = at - np.repeat(starts[:-1], counts)
+    return Rows(counts, cell.astype(np.int32), flat[at])
+
+
+def in_order(
+    compute: Callable[[_Piece], _Result], pieces: Iterator[tuple[float, _Piece]], jobs: int
+) -> Generator[tuple[float, _Result], None, None]:
+    """Compute pieces on threads; yield results in order, with few waiting, beside what came along.
+
+    Closing the iterator drops the pieces that no thread has begun.
+    """
+    # NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
+    pool = ThreadPoolExecutor(jobs)
+    waiting: deque[tuple[float, Future[_Result]]] = deque()
+    try:
+        for share, piece in pieces:
+            waiting.append((share, pool.submit(compute, piece)))
+            # Enough for every thread to find work while the oldest result is written.
+            if len(waiting) > 2 * jobs + 1:
+                share, result = waiting.popleft()
+                yield share, result.result()
+        while waiting:
+            share, result = waiting.popleft()
+            yield share, result.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
