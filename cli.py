@@ -1,7 +1,9 @@
 """The slicemask command: parse, call the library once, print."""
 
+import errno
 import importlib.util
 import json
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,15 +16,27 @@ import click
 
 import slicemask
 from slicemask import Frustum, PoseGrid, SlicemaskError
+from slicemask.bank.seal import VERSION
+from slicemask.bank.write import FORMAT
 
 
 class _Group(click.Group):
     """Commands whose expected errors are one sentence and exit code 1."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
         try:
             return super().invoke(ctx)
         except SlicemaskError as error:
+            raise click.ClickException(str(error)) from error
+        except MemoryError as error:
+            raise click.ClickException(
+                "this takes more memory than there is; ask for fewer poses, slices or cells"
+            ) from error
+        except OSError as error:
+            if error.errno == errno.EPIPE:  # a reader that has seen enough, which click handles
+                raise
             raise click.ClickException(str(error)) from error
 
 
@@ -232,8 +246,8 @@ def info(bank: str, as_json: bool) -> None:
         spec = opened.spec
         content = {
             "path": bank,
-            "format": "slicemask-bank",
-            "version": 1,
+            "format": FORMAT,
+            "version": VERSION,
             "spec": json.loads(spec.to_json()),
             "poses": len(opened),
             "masks": len(opened) * spec.frustum.slices,
@@ -242,7 +256,7 @@ def info(bank: str, as_json: bool) -> None:
             "bytes": Path(bank).stat().st_size,
         }
     lines = {
-        "bank": f"{bank} (slicemask-bank, version 1)",
+        "bank": f"{bank} ({FORMAT}, version {VERSION})",
         "poses": f"{len(opened):,} ({spec.poses})",
         "HFoV": f"{spec.frustum.hfov_deg:g} degrees, {spec.frustum.projection}",
         "slices": str(spec.frustum.slices),
@@ -261,18 +275,21 @@ def info(bank: str, as_json: bool) -> None:
 
 @main.command()
 @click.argument("bank")
-@click.option(
-    "--sample", type=int, default=2000, show_default=True, help="Masks to recompute, at least."
-)
+@click.option("--sample", type=int, help="Masks to recompute, at least.  [default: 2000]")
 @click.option("--all", "everything", is_flag=True, help="Recompute every mask of every pose.")
 @click.option("--jobs", type=int, help="Threads.  [default: all processors]")
 @_as_json
-def verify(bank: str, sample: int, everything: bool, jobs: int | None, as_json: bool) -> None:
+def verify(
+    bank: str, sample: int | None, everything: bool, jobs: int | None, as_json: bool
+) -> None:
     """Recompute a bank's masks with the other engine and compare."""
     from slicemask.bank.verify import verify_bank
 
+    if everything and sample is not None:
+        raise click.UsageError("Give either --sample or --all.")
+    count = None if everything else 2000 if sample is None else sample
     with slicemask.open_bank(bank) as opened, _progress("verifying", "poses") as progress:
-        found = verify_bank(opened, None if everything else sample, jobs, progress)
+        found = verify_bank(opened, count, jobs, progress)
     compared = f"{found.masks:,} masks of {found.poses:,} poses recomputed with {found.engine}"
     largest = f"largest difference {found.largest_difference:.2e}"
     if found.first_wrong is None:
@@ -320,6 +337,8 @@ def visualize(
 
     if at is not None and (bank is not None or pose is not None):
         raise click.UsageError("--at needs no BANK and no --pose: give one or the other.")
+    if cache is not None and (bank is not None or at is not None):
+        raise click.UsageError("--cache says where the newest bank is; it needs no BANK or --at.")
     if at is None:
         for name in ("hfov", "slices", "cells", "projection"):
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:

@@ -12,6 +12,7 @@ from slicemask.bank.read import Bank, open_bank
 from slicemask.errors import PoseError
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import slice_masks
+from slicemask.geometry.poses import check_poses
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,13 @@ def view_at(pose: tuple[float, float, float], frustum: Frustum, cells: int) -> V
     PoseError, SpecError
         If the pose or the cells cannot be.
     """
-    masks = slice_masks([pose], frustum, cells)[0]
-    u, v, heading_deg = pose
-    name = f"slices_at_{u:g}-{v:g}-{heading_deg:g}"
-    return View(np.array(pose, dtype=np.float64), frustum, cells, masks, name)
+    checked = check_poses([pose])
+    u, v, heading_deg = checked[0]
+    name = (
+        f"at_{u:g}-{v:g}-{heading_deg:g}_hfov{frustum.hfov_deg:g}_{frustum.projection}"
+        f"_n{frustum.slices}_l{cells}"
+    )
+    return View(checked[0], frustum, cells, slice_masks(checked, frustum, cells)[0], name)
 
 
 def view_of_bank(

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import slicemask
 from slicemask.bank.batches import GridSource, ListSource, PoseSource
-from slicemask.bank.cache import bank_path
+from slicemask.bank.cache import bank_path, made_folder
 from slicemask.bank.read import open_bank
 from slicemask.bank.rows import cut, in_order, mask_rows
 from slicemask.bank.seal import has_seal
@@ -75,8 +75,9 @@ def build_bank(
 ) -> BuildResult:
     """Build the bank of poses' slice masks, or find it built.
 
-    Memory is bounded: masks are streamed to the file, and of each pose of a list only some 50
-    bytes are held. The same arguments and versions give the same bytes, whatever ``jobs`` is.
+    Memory is bounded: masks are streamed to the file, and nothing is held for each pose of a grid.
+    Of a list, its poses and some 100 bytes for each are. The same arguments and versions give the
+    same bytes, whatever ``jobs`` is.
 
     Parameters
     ----------
@@ -125,22 +126,36 @@ def build_bank(
         source = ListSource(checked)
     path = bank_path(spec, out, cache)
     try:
-        # One builder a bank: a second one waits here, and then finds the bank.
-        lock = path.with_name(f".{path.name}.lock")
-        with filelock.FileLock(lock):
-            try:
-                if path.exists():
-                    rows = _reusable_rows(path, spec, force)
-                    if rows is not None:
-                        return BuildResult(path, reused=True, rows=rows)
-                rows = _build(path, spec, source, jobs, progress)
-            finally:
-                lock.unlink(missing_ok=True)
+        # A bank that is there needs no lock, nor a folder that may be written to.
+        rows = None if force else _reusable_rows(path, spec, force)
+        if rows is not None:
+            return BuildResult(path, reused=True, rows=rows)
+        with made_folder(path.parent):
+            return _build_locked(path, spec, source, force, jobs, progress)
     except BankError:
         raise
     except (OSError, RuntimeError) as error:  # h5py raises both
         raise BankError(f"{path}: cannot be written: {_reason(error)}") from error
-    return BuildResult(path, reused=False, rows=rows)
+
+
+def _build_locked(
+    path: Path,
+    spec: BankSpec,
+    source: PoseSource,
+    force: bool,
+    jobs: int,
+    progress: Progress | None,
+) -> BuildResult:
+    """Build the bank as its only builder: a second one waits here, and then finds the bank."""
+    lock = path.with_name(f".{path.name}.lock")
+    with filelock.FileLock(lock):
+        try:
+            rows = _reusable_rows(path, spec, force)
+            if rows is not None:
+                return BuildResult(path, reused=True, rows=rows)
+            return BuildResult(path, False, _build(path, spec, source, jobs, progress))
+        finally:
+            lock.unlink(missing_ok=True)
 
 
 def _versions(engine: Engine) -> dict[str, str]:
@@ -158,10 +173,12 @@ def _versions(engine: Engine) -> dict[str, str]:
 
 
 def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
-    """Rows of the bank in the way if it is the one asked for, or None if it may be replaced.
+    """Rows of the bank that is there if it is the one asked for; None if it is to be built.
 
     Raises BankExistsError if it is neither, and BankFormatError if it is damaged.
     """
+    if not path.exists():
+        return None
     try:
         with open_bank(path) as bank:
             found, rows = bank.spec, bank.rows
@@ -204,18 +221,14 @@ def _build(
         index = np.memmap(scratch, dtype=np.int32, mode="r+", shape=(total, slices))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
         with contextlib.closing(in_order(compute, _pieces(source, spec, index), jobs)) as computed:
-            _report(progress, 0.0, total)
+            if progress:
+                progress(0, total)
             for share, rows in computed:
                 writer.add_rows(rows.counts, rows.indices, rows.data)
-                _report(progress, share, total)
-        _report(progress, 1.0, total)
+                if progress:
+                    progress(round(share * total), total)
         writer.finish(index, source.pieces())
     return writer.rows
-
-
-def _report(progress: Progress | None, share: float, total: int) -> None:
-    if progress:
-        progress(round(share * total), total)
 
 
 def _pieces(

@@ -1,6 +1,8 @@
 """Where banks go by default."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from slicemask.bank.seal import has_seal
@@ -21,28 +23,41 @@ def bank_path(
 ) -> Path:
     """Where a bank goes: ``out``, or a name that says what it holds, in the cache folder.
 
-    The default cache folder is made if it is missing; a folder that was named is not, since a
-    misspelt name should not become a folder.
+    Only ``./masks_cache`` may be missing (see `made_folder`): a misspelt name should not become a
+    folder.
 
     Raises
     ------
     BankError
-        If ``out`` is a folder, or the folder is missing or cannot be written to.
+        If ``out`` is a folder, or its folder is missing.
     """
     path = Path(out) if out is not None else cache_folder(cache) / spec.name()
-    if path.is_dir():
-        raise BankError(f"{path}: is a folder; name a file in it")
     folder = path.parent
-    if out is None and cache is None and not folder.exists():
-        try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise BankError(f"{folder}: cannot be made: {error.strerror}") from error
-    if not folder.is_dir():
-        raise BankError(f"{folder}: there is no such folder; make it, or name another")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise BankError(f"{folder}: may not be written to; name another folder")
-    return path
+    try:
+        if path.is_dir():
+            raise BankError(f"{path}: is a folder; name a file in it")
+        if not folder.is_dir() and (folder.exists() or folder != Path(DEFAULT)):
+            raise BankError(f"{folder}: there is no such folder; make it, or name another")
+    except OSError as error:
+        if isinstance(error, BankError):
+            raise
+        raise BankError(f"{path}: cannot be: {error.strerror}") from error
+    # Links are followed here, so that the bank replaces the file and not a link to it.
+    return path.resolve() if path.is_symlink() else path
+
+
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make the default cache folder if it is missing, and take it away again on failure."""
+    missing = folder == Path(DEFAULT) and not folder.exists()
+    if missing:
+        folder.mkdir(exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if missing and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
 
 
 def newest_bank(cache: str | Path | None = None) -> Path:

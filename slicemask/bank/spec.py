@@ -176,5 +176,5 @@ class BankSpec:
 
 
 def _plain(value: float) -> str:
-    """Shortest decimal that reads back as the same float, without an exponent."""
-    return str(np.format_float_positional(value, trim="-"))
+    """A number as a person writes it."""
+    return f"{value:.12g}"

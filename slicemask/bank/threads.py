@@ -3,6 +3,7 @@
 import os
 
 from slicemask.errors import SpecError
+from slicemask.geometry.numbers import is_whole
 
 
 def thread_count(jobs: int | None) -> int:
@@ -17,6 +18,6 @@ def thread_count(jobs: int | None) -> int:
         if hasattr(os, "sched_getaffinity"):
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
-    if not isinstance(jobs, int) or jobs < 1:
+    if not is_whole(jobs) or jobs < 1:
         raise SpecError(f"jobs is {jobs!r}; it must be a whole number of at least 1")
-    return jobs
+    return int(jobs)

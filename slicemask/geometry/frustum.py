@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slicemask.errors import SpecError
+from slicemask.geometry.numbers import is_real, is_whole
 
 Projection = Literal["equirectangular", "pinhole"]
+MOST_SLICES = 4096
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class Frustum:
     hfov_deg : float
         Horizontal field of view (HFoV) in degrees: in (0, 360], and below 180 for a pinhole.
     slices : int
-        Number of slices N, at least 1.
+        Number of slices N, 1 to 4096.
     projection : {"equirectangular", "pinhole"}
         Equal azimuth ranges (SliceMatch, CVPR 2023, section 3), or equal widths in the image of
         a pinhole camera.
@@ -47,9 +49,11 @@ class Frustum:
                 f"projection is {self.projection!r}; it must be one of "
                 f"{', '.join(get_args(Projection))}"
             )
-        if not isinstance(self.slices, int | np.integer) or self.slices < 1:
-            raise SpecError(f"slices is {self.slices!r}; it must be a whole number of at least 1")
-        if not (math.isfinite(self.hfov_deg) and 0.0 < self.hfov_deg <= 360.0):
+        if not is_whole(self.slices) or not 1 <= self.slices <= MOST_SLICES:
+            raise SpecError(
+                f"slices is {self.slices!r}; it must be a whole number from 1 to {MOST_SLICES}"
+            )
+        if not is_real(self.hfov_deg) or not 0.0 < self.hfov_deg <= 360.0:
             raise SpecError(f"hfov is {self.hfov_deg!r} degrees; it must lie in (0, 360]")
         if self.projection == "pinhole" and self.hfov_deg >= 180.0:
             raise SpecError(

@@ -8,6 +8,7 @@ import numpy as np
 
 from slicemask.errors import PoseError, SpecError
 from slicemask.geometry.frustum import Frustum
+from slicemask.geometry.numbers import is_whole
 from slicemask.geometry.poses import check_poses
 
 Engine = Literal["shapely", "rays"]
@@ -25,7 +26,7 @@ def check_engine(engine: str) -> Engine:
 
 def check_cells(cells: int) -> int:
     """Return the cells a side, L, or raise SpecError if it is no whole number in 1..8192."""
-    if not isinstance(cells, int | np.integer) or not 1 <= cells <= 8192:
+    if not is_whole(cells) or not 1 <= cells <= 8192:
         raise SpecError(f"cells is {cells!r}; it must be a whole number from 1 to 8192")
     return int(cells)
 

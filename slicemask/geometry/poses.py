@@ -1,10 +1,10 @@
 """Candidate poses: regular grids, and lists read from files."""
 
 import csv
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slicemask.errors import PoseError, SpecError
+from slicemask.geometry.numbers import is_real, is_whole
 
 Places = Literal["centres", "endpoints"]
 COLUMNS = ("u", "v", "heading_deg")
@@ -56,14 +57,15 @@ class PoseGrid:
     def __post_init__(self) -> None:
         for name in ("rows", "columns", "headings"):
             value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or value < 1:
+            if not is_whole(value) or value < 1:
                 raise SpecError(
                     f"the grid's {name} is {value!r}; it must be a whole number of at least 1"
                 )
             object.__setattr__(self, name, int(value))
-        object.__setattr__(self, "extent", tuple(float(edge) for edge in self.extent))
-        if len(self.extent) != 4:
+        edges = tuple(self.extent) if isinstance(self.extent, list | tuple) else ()
+        if len(edges) != 4 or not all(is_real(edge) for edge in edges):
             raise SpecError(f"extent is {self.extent!r}; it must be four numbers u0, v0, u1, v1")
+        object.__setattr__(self, "extent", tuple(map(float, edges)))
         u0, v0, u1, v1 = self.extent
         if not (0.0 <= u0 < u1 <= 1.0 and 0.0 <= v0 < v1 <= 1.0):
             raise SpecError(
@@ -131,7 +133,7 @@ class PoseGrid:
 
     def poses(self, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
         """Poses start..stop of the grid (all by default): float64 [K, 3] of u, v, heading_deg."""
-        k = np.arange(start, len(self) if stop is None else min(stop, len(self)))
+        k = np.arange(max(start, 0), len(self) if stop is None else min(stop, len(self)))
         place, heading = np.divmod(k, self.headings)
         row, column = np.divmod(place, self.columns)
         return np.stack([self.u[column], self.v[row], self.headings_deg[heading]], axis=1)
@@ -145,7 +147,8 @@ class PoseGrid:
             If one of them is not in the grid.
         """
         asked = (row, column, heading)
-        if any(not 0 <= at < size for at, size in zip(asked, self.shape, strict=True)):
+        within = (is_whole(at) and at < size for at, size in zip(asked, self.shape, strict=True))
+        if not all(within) or min(asked) < 0:
             raise PoseError(
                 f"pose {row},{column},{heading} is not in the grid {self}; row, column and "
                 f"heading count from 0 to {self.rows - 1}, {self.columns - 1} and "
@@ -161,7 +164,7 @@ class PoseGrid:
         PoseError
             If k is not in the grid.
         """
-        if not 0 <= k < len(self):
+        if not is_whole(k) or not 0 <= k < len(self):
             raise PoseError(f"pose {k} is not in the grid {self}; it holds 0 to {len(self) - 1}")
         place, heading = divmod(k, self.headings)
         return (*divmod(place, self.columns), heading)
@@ -184,9 +187,14 @@ def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray
         message names the first such pose.
     """
     try:
-        array = np.array(poses, dtype=np.float64)
+        array = np.array(poses)
+        if np.iscomplexobj(array):
+            raise TypeError("complex numbers")
+        array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise PoseError("poses must be numbers in an array [K, 3] of u, v, heading_deg") from error
+        raise PoseError(
+            "poses must be real numbers in an array [K, 3] of u, v, heading_deg"
+        ) from error
     if array.ndim != 2 or array.shape[1] != 3:
         raise PoseError(
             f"poses have shape {list(array.shape)}; they must be [K, 3]: u, v, heading_deg"
@@ -197,7 +205,7 @@ def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray
     inside = finite & ((array[:, :2] >= 0.0) & (array[:, :2] <= 1.0)).all(axis=1)
     if not inside.all():
         k = int(np.argmin(inside))
-        name = f"pose {k}" if names is None else next(islice(names, k, None))
+        name = f"pose {k}" if names is None else next(itertools.islice(names, k, None))
         u, v, heading = array[k]
         fault = "lies outside the tile" if finite[k] else "is not finite"
         raise PoseError(
@@ -225,7 +233,7 @@ def read_poses(path: str | Path) -> NDArray[np.float64]:
     """
     path = Path(path)
     try:
-        return _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
+        return _read_npy(path) if path.suffix.lower() == ".npy" else _read_csv(path)
     except FileNotFoundError:
         raise PoseError(f"{path}: there is no such file; name a .csv or .npy file") from None
     except OSError as error:
@@ -241,7 +249,7 @@ def _read_npy(path: Path) -> NDArray[np.float64]:
     except (ValueError, EOFError) as error:
         raise PoseError(f"{path}: is not a plain .npy array of numbers") from error
     try:
-        return check_poses(array, (f"row {k}" for k in range(len(array)) if array.ndim == 2))
+        return check_poses(array, map("row {}".format, itertools.count()))
     except PoseError as error:
         raise PoseError(f"{path}: {error}") from None
 
@@ -254,10 +262,11 @@ def _read_csv(path: Path) -> NDArray[np.float64]:
         try:
             header = [name.strip() for name in next(reader, [])]
             missing = [name for name in COLUMNS if name not in header]
-            if missing:
+            if missing or len(set(header)) < len(header):
+                fault = f"{', '.join(missing)} missing" if missing else "a column named twice"
                 raise PoseError(
-                    f"{path}: line 1: column {', '.join(missing)} is missing; the header must "
-                    f"name {', '.join(COLUMNS)}, and it reads {','.join(header)!r}"
+                    f"{path}: line 1: {fault}; the header must name the columns "
+                    f"{', '.join(COLUMNS)}, parted by commas, and it reads {','.join(header)!r}"
                 )
             columns = [header.index(name) for name in COLUMNS]
             for row in reader:

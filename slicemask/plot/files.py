@@ -1,6 +1,7 @@
 """Picture files: aerial tiles read, figures and animations written whole or not at all."""
 
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,7 +41,9 @@ def read_aerial(path: str | Path) -> Image.Image:
     """
     path = Path(path)
     try:
-        with Image.open(path) as opened:
+        # Pillow warns of pictures half as large as those it refuses.
+        quiet = warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning)
+        with quiet, Image.open(path) as opened:
             if opened.mode.startswith(("I", "F")):
                 raise PlotError(
                     f"{path}: has pixels of kind {opened.mode}; an aerial tile must have 8 bits a "
@@ -49,6 +52,9 @@ def read_aerial(path: str | Path) -> Image.Image:
             picture = opened.convert("RGB")
     except PlotError:
         raise
+    except Image.DecompressionBombError:
+        most = 2 * (Image.MAX_IMAGE_PIXELS or 0)
+        raise PlotError(f"{path}: has more than {most:,} pixels; make it smaller") from None
     except FileNotFoundError:
         raise PlotError(f"{path}: there is no such file; name a picture, north up") from None
     except IsADirectoryError:

@@ -112,8 +112,10 @@ def test_npy_gives_the_same_poses(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("u,v\n0,0\n", r"line 1: column heading_deg is missing"),
-        ("", r"line 1: column u, v, heading_deg is missing"),
+        ("u,v\n0,0\n", "line 1: heading_deg missing"),
+        ("", "line 1: u, v, heading_deg missing"),
+        ("u;v;heading_deg\n0;0;0\n", "line 1: u, v, heading_deg missing.*parted by commas"),
+        ("u,v,heading_deg,u\n0,0,0,1\n", "line 1: a column named twice"),
         ("u,v,heading_deg\n", "no poses"),
         ("u,v,heading_deg\n0.5,0.5,0\n0.5,nan,0\n", "line 3 is not finite"),
         ("u,v,heading_deg\n0.5,0.5,0\n\n0.5,1.5,0\n", "line 4 lies outside the tile"),
@@ -145,6 +147,11 @@ def test_files_that_hold_no_poses(tmp_path):
     empty.touch()
     with pytest.raises(PoseError, match=r"not a plain \.npy"):
         read_poses(empty)
+    for number, array in enumerate((5.0, np.zeros((1, 3), dtype=complex))):
+        odd = tmp_path / f"odd{number}.npy"
+        np.save(odd, array)
+        with pytest.raises(PoseError, match=r"shape \[\]|real numbers"):
+            read_poses(odd)
     flat = tmp_path / "flat.npy"
     np.save(flat, np.zeros(3))
     with pytest.raises(PoseError, match=r"shape \[3\]"):
