@@ -27,8 +27,8 @@ $(VENV)/.full: $(VENV)/.core
 	@touch $@
 
 bank: $(VENV)/.core
-	$(BIN)/slicemask build --grid 21x21x64 --hfov 360
-	$(BIN)/slicemask visualize --out masks_cache/default.png
+	$(BIN)/slicemask build --grid 21x21x64 --hfov 360 --cache masks_cache
+	$(BIN)/slicemask visualize masks_cache/21x21x64_hfov360_n16_l32.h5 --out masks_cache/default.png
 
 test: $(VENV)/.full
 	$(BIN)/python -m pytest -n auto
