@@ -9,13 +9,16 @@ from PIL import Image
 
 from slicemask.errors import SynthError
 
+# What a file of each format ends with. Pillow can do without it.
+ENDS = {".jpg": b"\xff\xd9", ".png": b"IEND\xaeB`\x82"}
+
 
 def is_whole(path: Path, size: tuple[int, int]) -> bool:
     """Whether a picture is there, of the given (columns, rows), and can be decoded to its end."""
     try:
         with Image.open(path) as image:
             image.load()
-            return image.size == size
+            return image.size == size and path.read_bytes().endswith(ENDS[path.suffix])
     except (OSError, SyntaxError):  # Pillow's two ways to say that a file is broken
         return False
 

@@ -3,8 +3,10 @@
 import json
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -237,11 +239,20 @@ def _run(
         return SynthResult(root, total, rendered)
     # Spawned, because forking a process that has threads, as one with torch has, can lock up.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    # An interrupt is for this process to act on; the others end with it.
+    with ProcessPoolExecutor(
+        jobs, context, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+    ) as pool:
         running = {pool.submit(_run_task, task): task for task in tasks}
         try:
             for future in as_completed(running):
                 count(running[future], future.result())
+        except BrokenProcessPool as error:
+            raise SynthError(
+                f"{root}: a process that rendered was ended from outside, for want of memory "
+                f"perhaps, with {done} of {total} images done; run it again with fewer jobs than "
+                f"{jobs}, and it goes on"
+            ) from error
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

@@ -101,7 +101,7 @@ class Grade:
     def draw(cls, rng: np.random.Generator) -> "Grade":
         """Draw a sensor's colours."""
         exposure = rng.uniform(0.9, 1.15)
-        red, green, blue = (exposure * (1 + rng.normal(0, (0.05, 0.02, 0.06)))).tolist()
+        red, green, blue = (exposure * (1 + rng.normal(0, (0.035, 0.015, 0.04)))).tolist()
         return cls(
             gains=(red, green, blue),
             contrast=float(rng.uniform(0.85, 1.12)),
@@ -128,18 +128,19 @@ def render(scene: Scene, camera: Camera, light: Light) -> Floats:
     more.
     """
     rows, columns = camera.shape
-    row, column = (part.reshape(-1) + 0.5 for part in np.mgrid[:rows, :columns])
     colour = np.empty((rows * columns, 3), dtype=np.float32)
     surface = np.empty(rows * columns, dtype=np.int32)
-    for start in range(0, len(row), CHUNK):
-        chunk = slice(start, start + CHUNK)
-        colour[chunk], surface[chunk] = _shade(scene, camera, light, row[chunk], column[chunk])
+    for start in range(0, rows * columns, CHUNK):
+        chunk = np.arange(start, min(start + CHUNK, rows * columns))
+        row, column = np.divmod(chunk, columns)
+        colour[chunk], surface[chunk] = _shade(scene, camera, light, row + 0.5, column + 0.5)
     edge = np.flatnonzero(_edges(colour.reshape(rows, columns, 3), surface.reshape(rows, columns)))
     for start in range(0, len(edge), CHUNK // len(SUBPIXELS)):
         part = edge[start : start + CHUNK // len(SUBPIXELS)]
         total = np.zeros((len(part), 3), dtype=np.float32)
+        row, column = np.divmod(part, columns)
         for down, right in SUBPIXELS:
-            more, _ = _shade(scene, camera, light, row[part] + down, column[part] + right)
+            more, _ = _shade(scene, camera, light, row + 0.5 + down, column + 0.5 + right)
             total += more
         colour[part] = total / len(SUBPIXELS)
     return colour.reshape(rows, columns, 3)

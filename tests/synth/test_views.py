@@ -157,6 +157,19 @@ def test_parked_cars_agree_between_the_views_and_a_few_do_not(city):
     assert 0.4 < len(aerial & ground) / len(aerial) < 0.95
 
 
+def test_each_view_shows_its_own_cars(city, aerial_scene):
+    ground_scene = build_scene(city, "ground")
+    only_above = set(city.cars_aerial) - set(city.cars_ground)
+    above = np.array([(car.x, car.y, SKY_M) for car in only_above])
+    painted = []
+    for scene in (aerial_scene, ground_scene):
+        hits = scene.trace(above, np.broadcast_to([0.0, 0.0, -1.0], above.shape))
+        kinds = scene.surfaces.kind[scene.surface[hits.face]]
+        painted.append(np.isin(kinds, [Kind.PAINT, Kind.GLASS]).mean())
+    assert painted[0] > 0.6  # the others stand under trees
+    assert painted[1] < 0.4
+
+
 def test_light_and_colours_differ_from_draw_to_draw():
     rng = np.random.default_rng(0)
     lights = [Light.draw(rng) for _ in range(20)]
