@@ -81,13 +81,21 @@ class Encoder(nn.Module):
         Returns
         -------
         features : float [B, C, H, W]
+            In float32 at least: where the backbone computes in fewer bits, what follows does not.
         """
         features = self.backbone(images)[-1]
+        features = features.to(torch.promote_types(features.dtype, torch.float32))
         return features.permute(0, 3, 1, 2) if self.channels_last else features
 
 
 def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[dict, int]:
     """The options that fit the backbone to the image size, and its last stage of that stride."""
+    # timm also takes addresses on a hub; a run's settings may not send anyone there.
+    if not timm.is_model(name.split(".")[0]):
+        raise ConfigError(
+            f"encoder {name!r} is no timm model; name one that timm.list_models() lists, such as "
+            "vgg16 or resnet50"
+        )
     try:
         with torch.device("meta"):  # shapes only: no memory, no random numbers
             whole = timm.create_model(name)
@@ -96,9 +104,9 @@ def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[di
             strides = timm.create_model(name, features_only=True, **options).feature_info
     except Exception as error:  # each backbone refuses in its own way
         raise ConfigError(
-            f"encoder {name!r} cannot be made with timm for images of {_size(image_size)} "
-            f"({_first_line(error)}); name one that timm.list_models() lists and that gives "
-            "feature maps, such as vgg16 or resnet50"
+            f"encoder {name!r} cannot be made for images of {_size(image_size)} "
+            f"({_first_line(error)}); name one that gives feature maps of such images, such as "
+            "vgg16 or resnet50"
         ) from error
     strides = strides.reduction()
     if stride not in strides:

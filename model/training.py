@@ -113,7 +113,7 @@ def train(
         shown = training if validation is None else validation
         callbacks.append(_Example(run, shown, grids["test_grid"], config.heat_map_every))
     if progress:
-        callbacks.append(RichProgressBar())
+        callbacks.append(RichProgressBar(console_kwargs={"stderr": True}))
     trainer = _trainer(config, run, callbacks, progress)
 
     if is_first_process():

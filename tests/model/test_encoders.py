@@ -49,8 +49,8 @@ def test_any_stride_of_the_encoder(stride):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"name": "vgg61"}, "'vgg61' cannot be made"),
-        ({"name": "hf-hub:someone/something"}, "'hf-hub:someone/something'"),
+        ({"name": "vgg61"}, "'vgg61' is no timm model"),
+        ({"name": "hf-hub:someone/something"}, "'hf-hub:someone/something' is no timm model"),
         ({"name": "resnet10t", "stride": 6}, "no stage of stride 6; it has 2, 4, 8, 16, 32"),
         ({"name": "test_vit", "image_size": (20, 20)}, "20x20 pixels"),
     ],
