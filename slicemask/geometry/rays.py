@@ -27,7 +27,7 @@ from slicemask.geometry.azimuths import direction
 
 # Lattice values worked on at once: small enough for a processor's second-level cache, which
 # makes the arithmetic about twice as fast as over whole batches.
-_CACHE_VALUES = 48_000
+_CACHE_VALUES = 24_000
 _PARALLEL = 1e-30
 
 
@@ -90,17 +90,19 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
     on_numpy = array_api_compat.is_numpy_array(u)
     clip = _numpy_clip if on_numpy else xp.clip
 
-    def assembled(some: slice) -> Any:
-        g = row_offset[some, :, None] * clip(
+    # Fractions are areas over that of a cell; the factor comes in here, where it is cheapest.
+    row_factor = row_offset * (cells * cells / 2)
+    column_factor = column_offset * (cells * cells / 2)
+
+    def row_differences(some: slice) -> Any:
+        """G[i + 1, j] - G[i, j], [b, L, L + 1]."""
+        g = row_factor[some, :, None] * clip(
             lattice[None, None, :], row_low[some, :, None], row_high[some, :, None]
         )
-        g += column_offset[some, None, :] * clip(
+        g += column_factor[some, None, :] * clip(
             lattice[None, :, None], column_low[some, None, :], column_high[some, None, :]
         )
-        g = g[:, 1:, :] - g[:, :-1, :]
-        g = g[:, :, 1:] - g[:, :, :-1]
-        g *= cells * cells / 2
-        return g
+        return g[:, 1:, :] - g[:, :-1, :]
 
     step = max(1, _CACHE_VALUES // (cells + 1) ** 2)
     count = u.shape[0]
@@ -109,9 +111,11 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
         # Filling one array spares fresh memory, whose first touch costs as much as the arithmetic.
         fractions = np.empty((count, cells, cells), dtype=u.dtype)
         for some in pieces:
-            fractions[some] = assembled(some)
+            g = row_differences(some)
+            np.subtract(g[:, :, 1:], g[:, :, :-1], out=fractions[some])
         return fractions
-    return xp.concat([assembled(some) for some in pieces], axis=0)
+    parts = [row_differences(some) for some in pieces]
+    return xp.concat([g[:, :, 1:] - g[:, :, :-1] for g in parts], axis=0)
 
 
 def _numpy_clip(values: Any, low: Any, high: Any) -> Any:
