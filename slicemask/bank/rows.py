@@ -116,8 +116,8 @@ def in_order(
     try:
         for share, piece in pieces:
             waiting.append((share, pool.submit(compute, piece)))
-            # Enough for every thread to find work while the oldest result is written.
-            if len(waiting) > 2 * jobs + 1:
+            # Enough for every thread to find work while the oldest results are written.
+            if len(waiting) > 2 * jobs + 8:
                 share, result = waiting.popleft()
                 yield share, result.result()
         while waiting:

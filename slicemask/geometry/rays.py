@@ -104,7 +104,9 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
         )
         return g[:, 1:, :] - g[:, :-1, :]
 
-    step = max(1, _CACHE_VALUES // (cells + 1) ** 2)
+    # Other libraries pay more for each call, and keep what they free.
+    values = _CACHE_VALUES if on_numpy else 4 * _CACHE_VALUES
+    step = max(1, values // (cells + 1) ** 2)
     count = u.shape[0]
     pieces = [slice(start, min(start + step, count)) for start in range(0, count, step)]
     if on_numpy:
