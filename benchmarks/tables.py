@@ -160,7 +160,7 @@ def growth() -> list[Figure]:
         figures.append(Figure(
             f"{engine_name}: straight line, 7x7x16 to 64x64x64",
             f"{start:.2f} s + {slope * 1e6:.0f} us a distinct mask, R2 {straight:.4f}",
-            "R2 0.99", straight >= 0.99,
+            "R2 0.99", bool(straight >= 0.99),
         ))  # fmt: skip
     return figures
 

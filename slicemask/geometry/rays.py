@@ -25,9 +25,9 @@ import numpy as np
 
 from slicemask.geometry.azimuths import direction
 
-# Lattice values worked on at once: small enough for a processor's second-level cache, which
-# makes the arithmetic about twice as fast as over whole batches.
-_CACHE_VALUES = 24_000
+# Lattice values worked on at once: arrays small enough for a processor's second-level cache, and
+# for the allocator to hand out the same memory again (below 128 KiB). Either halves the time.
+_CACHE_VALUES = 15_000
 _PARALLEL = 1e-30
 
 
@@ -105,7 +105,7 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
         return g[:, 1:, :] - g[:, :-1, :]
 
     # Other libraries pay more for each call, and keep what they free.
-    values = _CACHE_VALUES if on_numpy else 4 * _CACHE_VALUES
+    values = _CACHE_VALUES if on_numpy else 6 * _CACHE_VALUES
     step = max(1, values // (cells + 1) ** 2)
     count = u.shape[0]
     pieces = [slice(start, min(start + step, count)) for start in range(0, count, step)]
