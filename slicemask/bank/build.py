@@ -22,7 +22,7 @@ from slicemask.bank.seal import has_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.threads import thread_count
 from slicemask.bank.write import BankWriter
-from slicemask.errors import BankError, BankExistsError, BankFormatError
+from slicemask.errors import BankError, BankExistsError
 from slicemask.geometry.distinct import (
     Images,
     Loose,
@@ -127,7 +127,7 @@ def build_bank(
     path = bank_path(spec, out, cache)
     try:
         # A bank that is there needs no lock, nor a folder that may be written to.
-        rows = None if force else _reusable_rows(path, spec, force)
+        rows = None if force else _reusable_rows(path, spec, force=False)
         if rows is not None:
             return BuildResult(path, reused=True, rows=rows)
         with made_folder(path.parent):
@@ -179,20 +179,16 @@ def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
     """
     if not path.exists():
         return None
-    try:
-        with open_bank(path) as bank:
-            found, rows = bank.spec, bank.rows
-    except BankFormatError as error:
+    if path.is_file():
         if not has_seal(path):
             raise BankExistsError(
                 f"{path}: exists and is no slicemask bank, so it is not replaced; move it away "
                 "or name another file with --out"
-            ) from error
-        if force:
+            )
+        if force:  # sound or not
             return None
-        raise
-    if force:
-        return None
+    with open_bank(path) as bank:
+        found, rows = bank.spec, bank.rows
     if found != spec:
         raise BankExistsError(
             f"{path}: holds another bank ({found.summary()}) than the one asked for "

@@ -113,10 +113,9 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
         raise PoseError(f"poses are {dtype}; they must be float32 or float64")
     poses = xp.astype(poses, xp.float64)
     places = poses[:, :2]
-    if not bool(xp.all(xp.isfinite(poses)) & xp.all((places >= 0.0) & (places <= 1.0))):
-        valid = xp.all(xp.isfinite(poses), axis=1) & xp.all(
-            (places >= 0.0) & (places <= 1.0), axis=1
-        )
+    inside = xp.all((places >= 0.0) & (places <= 1.0), axis=1)
+    valid = inside & xp.all(xp.isfinite(poses), axis=1)
+    if not bool(xp.all(valid)):
         k = next(k for k in range(poses.shape[0]) if not bool(valid[k]))
         u, v, heading = (float(poses[k, axis]) for axis in range(3))
         raise PoseError(

@@ -116,8 +116,7 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
             g = row_differences(some)
             np.subtract(g[:, :, 1:], g[:, :, :-1], out=fractions[some])
         return fractions
-    parts = [row_differences(some) for some in pieces]
-    return xp.concat([g[:, :, 1:] - g[:, :, :-1] for g in parts], axis=0)
+    return xp.concat([g[:, :, 1:] - g[:, :, :-1] for g in map(row_differences, pieces)], axis=0)
 
 
 def _numpy_clip(values: Any, low: Any, high: Any) -> Any:

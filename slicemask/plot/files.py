@@ -14,6 +14,7 @@ from PIL.ImageColor import getrgb
 from slicemask.errors import PlotError, SpecError
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, slice_masks
+from slicemask.geometry.numbers import is_whole
 from slicemask.plot.figure import INK, MUTED, Aerial, Pose, check_pose, check_square, draw_slices
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def animate_heading(
         If the other arguments cannot be.
     """
     path = check_target(path, (".gif",))
-    if not isinstance(frames, int | np.integer) or not 2 <= frames <= 360:
+    if not is_whole(frames) or not 2 <= frames <= 360:
         raise SpecError(f"frames is {frames!r}; it must be a whole number from 2 to 360")
     u, v, start_deg = check_pose(pose)
     headings_deg = (start_deg + np.arange(frames) * 360.0 / frames) % 360.0
