@@ -135,11 +135,12 @@ def pool_shares(
         for cells, fractions in _blocks(whole, values_at_once // channels, len(ground))
     ]
     for n, numbers in enumerate(plan.single):
+        if not len(numbers):
+            continue
         attended = features * attention[:, n, None]  # z'_a^n
         shares += [
             _forgetful(_pool_single, *take_rows(masks, some), attended, dots[:, n, None])
             for some in numbers.split(max(1, values_at_once // channels))
-            if len(some)
         ]
     return torch.cat(shares)
 
