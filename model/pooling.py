@@ -48,6 +48,12 @@ class PoolingPlan:
     single: list[Tensor]
     slot: Tensor
 
+    @property
+    def shares(self) -> int:
+        """How many shares there are."""
+        gathered = sum(len(cells) for cells, _ in self.gathered)
+        return gathered * self.slot.shape[1] + sum(map(len, self.single))
+
 
 def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
     """Choose how each mask is pooled.
@@ -125,24 +131,41 @@ def pool_shares(
     shares : float [shares, 2]
         d_g^n . d_a, and 1 where d_a is not zero; ordered as `PoolingPlan.slot` says.
     """
+    blocks = _pool_blocks(plan, masks, ground, features, attention, values_at_once)
+    if torch.is_grad_enabled():
+        return torch.cat(list(blocks))
+    # Small results kept between large blocks would leave holes in memory that none fits in.
+    shares = features.new_empty(plan.shares, 2)
+    first = 0
+    for block in blocks:
+        shares[first : first + len(block)] = block
+        first += len(block)
+    return shares
+
+
+def _pool_blocks(
+    plan: PoolingPlan,
+    masks: Masks,
+    ground: Tensor,
+    features: Tensor,
+    attention: Tensor,
+    values_at_once: int | None,
+) -> Iterator[Tensor]:
+    """The shares of `pool_shares`, block by block."""
     if values_at_once is None:
         values_at_once = _VALUES_CPU if features.device.type == "cpu" else _VALUES_GPU
     channels = features.shape[1]
     dots = attention * (features @ ground.T)  # z'_a^n . d_g^n of each cell
-    shares = [
-        _forgetful(_pool_gathered, cells, fractions, features, attention, dots)
-        for whole in plan.gathered
-        for cells, fractions in _blocks(whole, values_at_once // channels, len(ground))
-    ]
+    for whole in plan.gathered:
+        for cells, fractions in _cut(whole, values_at_once // channels, len(ground)):
+            yield _forgetful(_pool_gathered, cells, fractions, features, attention, dots)
     for n, numbers in enumerate(plan.single):
         if not len(numbers):
             continue
         attended = features * attention[:, n, None]  # z'_a^n
-        shares += [
-            _forgetful(_pool_single, *take_rows(masks, some), attended, dots[:, n, None])
-            for some in numbers.split(max(1, values_at_once // channels))
-        ]
-    return torch.cat(shares)
+        for some in numbers.split(max(1, values_at_once // channels)):
+            rows = take_rows(masks, some)
+            yield _forgetful(_pool_single, *rows, attended, dots[:, n, None])
 
 
 def take_rows(masks: Masks, chosen: Tensor) -> Masks:
@@ -155,7 +178,7 @@ def take_rows(masks: Masks, chosen: Tensor) -> Masks:
     return new_starts, cells[taken], fractions[taken]
 
 
-def _blocks(
+def _cut(
     whole: tuple[Tensor, Tensor], vectors: int, slices: int
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Cut masks [R, m] so that neither their m features nor N descriptors exceed the vectors."""

@@ -9,6 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
+from model.benchmark import time_run
 from model.config import TrainConfig
 from model.data.errors import ImageError
 from model.errors import ConfigError, RunError
@@ -156,6 +157,12 @@ def test_pictures_that_cannot_be(localizer, images):
         localizer.localize("nowhere.jpg", images[1])
     with pytest.raises(ConfigError, match=r"an aerial tile is an array float64 \[4, 4\]"):
         localizer.localize(images[0], np.zeros((4, 4)))
+
+
+def test_a_run_is_timed_on_its_own_grid_or_another(run, cache):
+    assert time_run(run, cache=cache, device="cpu", runs=1).poses == 4 * 5 * 8
+    timings = time_run(run, grid="2x2x4", cache=cache, device="cpu", batch_size=2, runs=1)
+    assert (timings.poses, timings.batch_size) == (16, 2)
 
 
 def test_offsets_in_metres():
