@@ -2,12 +2,13 @@
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.figure import Figure
 from benchmarks.peers import exactextract_masks, plain_loop_seconds, random_slices
+from benchmarks.scoring import scoring
 from benchmarks.timing import median_seconds, slicemask_command
 from slicemask import Frustum, PoseGrid, open_bank, slice_masks
 from slicemask.geometry import coverage, rays
@@ -15,16 +16,6 @@ from slicemask.geometry import coverage, rays
 DEFAULT = ("build", "--grid", "21x21x64", "--hfov", "360", "--force")
 DEFAULT_MASKS = 451_584
 MIB_PER_GIB = 1024
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One measured figure: what, the measurement, the target if there is one, and whether met."""
-
-    what: str
-    measured: str
-    target: str = ""
-    met: bool | None = None
 
 
 def bank() -> list[Figure]:
@@ -170,4 +161,5 @@ TABLES: dict[str, Callable[[], list[Figure]]] = {
     "engine": engine,
     "million": million,
     "growth": growth,
+    "scoring": scoring,
 }

@@ -13,7 +13,7 @@ length does; a Gram matrix of the cells would give it with fewer operations, but
 cancel it loses twice the digits.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -25,7 +25,7 @@ Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 
 # Masks gathered in one product are padded to a common multiple of so many cells.
 _PADDED = 8
-# Values in one block: what a CPU's cache holds, or what keeps a GPU busy (not measured there).
+# Values in one block: what a CPU's cache holds; what may keep a GPU busy (not measured).
 _VALUES_CPU, _VALUES_GPU = 1 << 20, 1 << 25
 
 
@@ -131,8 +131,12 @@ def pool_shares(
     shares : float [shares, 2]
         d_g^n . d_a, and 1 where d_a is not zero; ordered as `PoolingPlan.slot` says.
     """
-    blocks = _pool_blocks(plan, masks, ground, features, attention, values_at_once)
-    if torch.is_grad_enabled():
+    if values_at_once is None:
+        values_at_once = _VALUES_CPU if features.device.type == "cpu" else _VALUES_GPU
+    dots = attention * (features @ ground.T)  # z'_a^n . d_g^n of each cell
+    vectors = values_at_once // features.shape[1]
+    blocks = _pool_blocks(plan, masks, features, attention, dots, vectors)
+    if dots.requires_grad:
         return torch.cat(list(blocks))
     # Small results kept between large blocks would leave holes in memory that none fits in.
     shares = features.new_empty(plan.shares, 2)
@@ -146,26 +150,23 @@ def pool_shares(
 def _pool_blocks(
     plan: PoolingPlan,
     masks: Masks,
-    ground: Tensor,
     features: Tensor,
     attention: Tensor,
-    values_at_once: int | None,
+    dots: Tensor,
+    vectors: int,
 ) -> Iterator[Tensor]:
-    """The shares of `pool_shares`, block by block."""
-    if values_at_once is None:
-        values_at_once = _VALUES_CPU if features.device.type == "cpu" else _VALUES_GPU
-    channels = features.shape[1]
-    dots = attention * (features @ ground.T)  # z'_a^n . d_g^n of each cell
+    """The shares of `pool_shares`, in blocks of so many vectors of C channels."""
     for whole in plan.gathered:
-        for cells, fractions in _cut(whole, values_at_once // channels, len(ground)):
+        for cells, fractions in _cut(whole, vectors, dots.shape[1]):
             yield _forgetful(_pool_gathered, cells, fractions, features, attention, dots)
     for n, numbers in enumerate(plan.single):
         if not len(numbers):
             continue
         attended = features * attention[:, n, None]  # z'_a^n
-        for some in numbers.split(max(1, values_at_once // channels)):
+        dots_n = dots[:, n, None].contiguous()
+        for some in numbers.split(max(1, vectors)):
             rows = take_rows(masks, some)
-            yield _forgetful(_pool_single, *rows, attended, dots[:, n, None])
+            yield _forgetful(_pool_single, *rows, attended, dots_n)
 
 
 def take_rows(masks: Masks, chosen: Tensor) -> Masks:
@@ -218,8 +219,8 @@ def _shares(dots: Tensor, lengths: Tensor) -> Tensor:
     return torch.stack([dots / torch.where(some, lengths, 1.0) * some, some], dim=-1).flatten(0, -2)
 
 
-def _forgetful(pool, *arguments: Tensor) -> Tensor:
+def _forgetful(pool: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
     """Call `pool`; for the gradients it is called again, so that nothing large is kept."""
-    if not torch.is_grad_enabled():
+    if not any(argument.requires_grad for argument in arguments):
         return pool(*arguments)
     return checkpoint(pool, *arguments, use_reentrant=False, preserve_rng_state=False)
