@@ -1,11 +1,11 @@
 """Pooling of one pair's aerial features under the masks of candidates, by slice number.
 
-What is wanted is a pair's (mask, slice number) *share*: the dot product of the unit slice
-descriptor d_a with d_g^n, and whether there is a descriptor at all. Each is computed once,
-however many poses have that mask as that slice. There are two ways to pool, both plain sums:
+For each mask and slice number n that candidates combine, a *share* is wanted: the dot product of
+the unit slice descriptor d_a with d_g^n, and whether there is a descriptor at all. It is computed
+once, however many poses have that mask as slice n. There are two ways to pool, both plain sums:
 
-- A mask that many slice numbers use (in a panorama, each heading shifts the slices by one) has
-  its cells' features gathered once, for one product with the weights P * M^n of all n.
+- A mask that many slice numbers use (in a panorama, each heading shifts the slices) has its
+  cells' features gathered once, for one product with the weights P * M^n of all n.
 - A mask that few use is pooled for each of those n alone, straight from the feature map.
 
 Dot products need no pooling: d_g^n . sum P z' is a weighted sum of scalars. The descriptor's
@@ -26,12 +26,12 @@ Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 # Masks gathered in one product are padded to a common multiple of so many cells.
 _PADDED = 8
 # Values in one block: what a CPU's cache holds; what may keep a GPU busy (not measured).
-_VALUES_CPU, _VALUES_GPU = 1 << 20, 1 << 25
+_VALUES_CPU, _VALUES_GPU = 1 << 20, 1 << 24
 
 
 @dataclass(frozen=True)
 class PoolingPlan:
-    """What of it depends on the candidates alone; made by `plan_pooling`.
+    """The part of the work that depends on the candidates alone; made by `plan_pooling`.
 
     Attributes
     ----------

@@ -181,10 +181,7 @@ def test_masks_are_pooled_the_way_that_suits_their_use(tmp_path):
 
 @pytest.mark.parametrize("frustum", [Frustum(360, 16), Frustum(80, 16, "pinhole")])
 def test_features_that_nearly_cancel(tmp_path, frustum):
-    """A slice whose features sum to a hundredth of their size keeps four digits.
-
-    A float32 Gram matrix of the cells would not.
-    """
+    """A slice whose features sum to a hundredth of their size keeps four digits."""
     grid = PoseGrid.parse("1x1x16")
     with open_bank(build_bank(grid, frustum, CELLS, cache=tmp_path).path) as bank:
         candidates, masks = Candidates.from_bank(bank), all_masks(bank)
