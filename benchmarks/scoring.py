@@ -25,12 +25,14 @@ GRIDS = {"7x7x16": 784, "21x21x64": 28_224, "64x64x64": 262_144, "128x128x64": 1
 
 
 def scoring() -> list[Figure]:
-    """Scores of one pair, VGG16's sizes: against the encoders, the dense product and CSR."""
+    """Scores of one pair, VGG16's sizes, one thread: against the encoders, dense and CSR."""
     from benchmarks.curves import draw_scoring
 
+    # Seconds of the processor, on one thread: what other work does to the clock is left out.
+    torch.set_num_threads(1)
     torch.manual_seed(0)
     model = SliceMatch("vgg16", "none")
-    figures = [Figure("threads", str(torch.get_num_threads()))]
+    figures = []
     with tempfile.TemporaryDirectory() as folder:
         banks = {grid: Path(folder) / f"{grid}.h5" for grid in GRIDS}
         for grid, path in banks.items():
@@ -113,17 +115,16 @@ def _csr_scores(
 
 
 def _cost(bank: Path) -> dict[str, float]:
-    """Median seconds of the calls after the first, seconds of that one, and peak bytes."""
+    """Seconds of the last call and of the first, and peak bytes."""
     process = subprocess.run(
         [sys.executable, "-m", "benchmarks.score_bank", str(bank)],
         stdout=subprocess.PIPE,
         check=True,
     )
     found = json.loads(process.stdout)
-    first, *others = found["seconds"]
     return {
-        "seconds": statistics.median(others),
-        "first": first,
+        "seconds": found["seconds"][-1],
+        "first": found["seconds"][0],
         "peak": found["peak_bytes"],
         "candidates": found["candidates_bytes"],
     }
@@ -168,7 +169,7 @@ def _training(model: SliceMatch, bank: Path, batch: int = 4) -> list[Figure]:
         scores = score_candidates(ground, aerial, attention, candidates)
         contrastive_loss(truth, scores).mean().backward()
 
-    seconds = _alternate({"encoders": encoders, "rest": rest}, rounds=3)
+    seconds = _alternate({"encoders": encoders, "rest": rest}, rounds=1)
     ratio = seconds["rest"] / seconds["encoders"]
     return [
         Figure(
@@ -189,11 +190,11 @@ def _candidates(bank: Path) -> Candidates:
 
 
 def _alternate(ways: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median seconds of each way, taken in turns, so that other work weighs on all alike."""
+    """Median seconds of the processor for each way, taken in turns."""
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(rounds):
         for name, way in ways.items():
-            start = time.perf_counter()
+            start = time.process_time()
             way()
-            seconds[name].append(time.perf_counter() - start)
+            seconds[name].append(time.process_time() - start)
     return {name: statistics.median(times) for name, times in seconds.items()}
