@@ -415,6 +415,11 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         ("alpha", _Alpha(), "Weight of the candidates; K is plain infoNCE.  [default: 4]"),
         ("tau", float, "Temperature of the loss.  [default: 0.1]"),
         ("learning-rate", float, "Of Adam.  [default: 1e-5]"),
+        (
+            "schedule",
+            click.Choice(["constant", "one-cycle"]),
+            "Of the learning rate.  [default: constant]",
+        ),
         ("batch-size", int, "Pairs in a step, on each device.  [default: 4]"),
         ("epochs", int, "Rounds through the training part.  [default: 30]"),
         ("validation-fraction", float, "Share that chooses the best checkpoint.  [default: 0.1]"),
@@ -434,6 +439,11 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         "--cross-view-attention/--no-cross-view-attention",
         default=None,
         help="Whether aerial attention sees the ground.  [default: it does]",
+    )(command)
+    command = click.option(
+        "--augment/--no-augment",
+        default=None,
+        help="Turn and mirror training samples.  [default: not]",
     )(command)
     for name, kind, text in reversed(options):
         command = click.option(f"--{name}", type=kind, help=text)(command)
