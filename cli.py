@@ -443,7 +443,7 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
     command = click.option(
         "--augment/--no-augment",
         default=None,
-        help="Turn and mirror training samples.  [default: not]",
+        help="Turn, mirror and recolour training samples.  [default: not]",
     )(command)
     for name, kind, text in reversed(options):
         command = click.option(f"--{name}", type=kind, help=text)(command)

@@ -97,7 +97,7 @@ class TrainConfig:
         Share of the training file that is kept from training and chooses the best checkpoint
         (ours: 0.1); with 0 the training loss does.
     augment : bool
-        Turn and mirror training samples: see `model.data.samples.PoseDataset` (ours).
+        Turn, mirror and recolour training samples: see `model.data.samples.PoseDataset` (ours).
     heat_map_every : int
         Epochs from one example heat map to the next; 0 draws none (ours: 1).
     bad_samples : int

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, default_collate
 
+from model.data.augmentation import recolour
 from model.data.errors import DatasetError, SampleError
 from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 
@@ -38,8 +39,8 @@ class DataConfig:
         The share of the training file that is set aside for validation, since neither data set
         has a file for it; 0 trains on everything and leaves no validation part. Ours: 0.1.
     augment : bool
-        Turn and mirror the samples of the training part: see `PoseDataset`. Ours; the paper does
-        not.
+        Turn, mirror and recolour the samples of the training part: see `PoseDataset`. Ours; the
+        paper does not.
     seed : int
         Of the validation part and of every heading, shift and turn that is drawn.
 
@@ -174,7 +175,7 @@ class PoseDataset(Dataset):
     With `DataConfig.augment`, a training sample is shown under one of the tile's eight symmetries
     (quarter turns and mirrorings), drawn anew in every epoch: the tile is turned and mirrored, the
     pose with it, and the ground image mirrored where the tile is. With a heading prior, only the
-    symmetries that keep its centre are drawn.
+    symmetries that keep its centre are drawn. Its colours change as `recolour` says.
 
     A sample that cannot be read raises `SampleError`, unless the data set was given a `BadSamples`:
     then it is written down there and, in training, the next readable sample stands in, so that
@@ -224,7 +225,8 @@ class PoseDataset(Dataset):
 
     def pose(self, index: int) -> np.ndarray:
         """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
-        return self._symmetry(index).pose(self._pose(index))
+        pose = self._pose(index)
+        return self._symmetry(index).pose(pose) if self._augmented else pose
 
     def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample.
@@ -235,10 +237,13 @@ class PoseDataset(Dataset):
             If a file of the sample cannot be used.
         """
         ground, aerial = self._load(index)
+        if not self._augmented:
+            return ground, aerial
         symmetry = self._symmetry(index)
-        moved = np.ascontiguousarray(symmetry.masks(aerial.numpy()))
-        mirrored = symmetry.turn[0] < 0
-        return ground.flip(-1) if mirrored else ground, torch.from_numpy(moved)
+        if symmetry.turn[0] < 0:
+            ground = ground.flip(-1)
+        aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
+        return recolour(ground, aerial, self._random(index, "colours"))
 
     def _pose(self, index: int) -> np.ndarray:
         """`pose` as the data set has it."""
@@ -248,10 +253,12 @@ class PoseDataset(Dataset):
         """`load` as the data set has it."""
         raise NotImplementedError
 
+    @property
+    def _augmented(self) -> bool:
+        return self.config.augment and self.part == "train"
+
     def _symmetry(self, index: int) -> Symmetry:
-        """The symmetry that a sample is shown under, in training of one sample in one epoch."""
-        if self.part != "train" or not self.config.augment:
-            return Symmetry()
+        """The symmetry that a sample is shown under in this epoch."""
         centre = self.prior_centre_deg
         kept = [
             symmetry
