@@ -521,6 +521,7 @@ def train(
     help="Part of the data set.",
 )
 @click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
+@click.option("--limit", type=int, help="Only so many samples, spread evenly.  [default: all]")
 @click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")

@@ -272,13 +272,16 @@ class PoseDataset(Dataset):
         """All true poses, float64 [n, 3]; those of the epoch that was set, in training."""
         return np.array([self.pose(index) for index in range(len(self))]).reshape(-1, 3)
 
-    def count_outside(self, extent: tuple[float, float, float, float]) -> int:
+    def count_outside(
+        self, extent: tuple[float, float, float, float], indices: list[int] | None = None
+    ) -> int:
         """How many true places lie outside (u0, v0, u1, v1), where no candidate can find them.
 
+        Of all samples, or of those with the indices given.
         The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is inside.
         """
         u0, v0, u1, v1 = extent
-        u, v, _ = self.poses().T
+        u, v, _ = self.poses()[slice(None) if indices is None else indices].T
         return int(np.count_nonzero((u < u0) | (u > u1) | (v < v0) | (v > v1)))
 
     def __len__(self) -> int:
