@@ -293,6 +293,7 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
             evaluation.estimates[n],
             localizer.frustum,
             truth=evaluation.truths[n],
+            ground=denormalise(sample["ground"]),
             title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
         )
         save_figure(figure, folder / f"{case}.png")
