@@ -223,7 +223,7 @@ def test_labels_outside_a_candidate_extent_are_counted(make_vigor_tree, tmp_path
 
 @pytest.mark.parametrize("augment", [False, True])
 def test_the_ground_image_is_what_the_tile_shows_from_the_pose(
-    make_vigor_tree, tmp_path, sample_view, augment
+    make_vigor_tree, tmp_path, sample_view, true_colours, augment
 ):
     """The tree paints with north at the centre; the loader has turned it to the heading."""
     make_vigor_tree(tmp_path, pairs=4)
@@ -247,7 +247,9 @@ def test_the_ground_image_is_what_the_tile_shows_from_the_pose(
         assert mismatch(heading_deg) < 8 < mismatch(-heading_deg)
 
 
-def test_augmenting_shows_all_eight_symmetries_and_keeps_a_known_heading(make_vigor_tree, tmp_path):
+def test_augmenting_shows_all_eight_symmetries_and_keeps_a_known_heading(
+    make_vigor_tree, tmp_path, true_colours
+):
     make_vigor_tree(tmp_path, pairs=1)
     plain, augmented, again, aligned = (
         open_vigor(tmp_path, cities=("Chicago",), augment=augment, heading_prior_deg=prior)
