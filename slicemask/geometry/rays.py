@@ -80,8 +80,8 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
     """`sector_fractions` of sectors narrower than 180 degrees."""
     count, lines = u.shape[0], cells + 1
     lattice = xp.arange(lines, dtype=u.dtype, device=array_api_compat.device(u)) / cells
-    lu, lv = direction(left_deg, xp)
-    ru, rv = direction(right_deg, xp)
+    ray_u, ray_v = direction(xp.concat([left_deg, right_deg]), xp)
+    lu, ru, lv, rv = ray_u[:count], ray_u[count:], ray_v[:count], ray_v[count:]
     # The horizontal lines, then the vertical ones: their offsets Y and X, and their intervals.
     # Azimuth grows to the right where a line lies ahead (Y < 0) and to the left where it lies
     # behind; swapping the axes turns the plane's orientation, hence the swapped rays.
