@@ -30,7 +30,7 @@ def plain_loop_seconds(count: int, cells: int = 32) -> float:
 
 
 def exactextract_masks(count: int, cells: int = 32) -> tuple[float, np.ndarray]:
-    """Processor seconds a mask of exactextract's coverage fractions, and the masks [count, L, L]."""
+    """Processor seconds a mask of exactextract's coverage, and the masks [count, L, L]."""
     raster = NumPyRasterSource(np.zeros((cells, cells)), xmin=0, ymin=0, xmax=1, ymax=1)
     tile = shapely.box(0, 0, 1, 1)
     polygons = shapely.intersection(sector_polygons(*random_slices(count)), tile)
