@@ -22,15 +22,20 @@ _ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTE
 
 @dataclass(frozen=True)
 class CommandCost:
-    """Wall seconds of a command's runs, and the largest peak memory of them, in MiB."""
+    """A command's runs: wall seconds, processor seconds, and the largest peak memory, in MiB."""
 
     runs: tuple[float, ...]
+    processor: tuple[float, ...]
     peak_mib: float
 
     @property
     def seconds(self) -> float:
-        """The median."""
+        """The median wall seconds."""
         return statistics.median(self.runs)
+
+    def __str__(self) -> str:
+        work = statistics.median(self.processor)
+        return f"{self.seconds:.2f} s ({work:.2f} s of processor time)"
 
 
 def slicemask_command(*arguments: str, runs: int = 5) -> CommandCost:
@@ -40,15 +45,16 @@ def slicemask_command(*arguments: str, runs: int = 5) -> CommandCost:
 
 def slicemask_commands(*commands: tuple[str, ...], runs: int) -> list[CommandCost]:
     """Costs of whole ``slicemask`` commands, run in turn."""
-    costs: list[list[tuple[float, float]]] = [[] for _ in commands]
-    for _ in range(runs):
-        for command, cost in zip(commands, costs, strict=True):
-            cost.append(_run(command))
-    return [CommandCost(tuple(s for s, _ in cost), max(peak for _, peak in cost)) for cost in costs]
+    rounds = [[_run(command) for command in commands] for _ in range(runs)]
+    costs = []
+    for of_command in zip(*rounds, strict=True):
+        seconds, processor, peaks = zip(*of_command, strict=True)
+        costs.append(CommandCost(seconds, processor, max(peaks)))
+    return costs
 
 
-def _run(arguments: tuple[str, ...]) -> tuple[float, float]:
-    """Wall seconds and peak memory of one run, in MiB."""
+def _run(arguments: tuple[str, ...]) -> tuple[float, float, float]:
+    """Wall seconds, processor seconds and peak memory (MiB) of one run."""
     peak = 0.0
     start = time.perf_counter()
     process = subprocess.Popen(
@@ -59,9 +65,11 @@ def _run(arguments: tuple[str, ...]) -> tuple[float, float]:
         peak = max(peak, _peak_mib(process.pid))
     seconds = time.perf_counter() - start
     os.close(ended)
-    if process.wait():
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
         raise SystemExit(f"slicemask {' '.join(arguments)} failed")
-    return seconds, peak
+    return seconds, used.ru_utime + used.ru_stime, peak
 
 
 def _peak_mib(process: int) -> float:
@@ -82,12 +90,14 @@ def times(slow: list[float] | tuple[float, ...], fast: list[float] | tuple[float
     return statistics.median(s / f for s, f in zip(slow, fast, strict=True))
 
 
-def median_seconds(work: Callable[[], object], runs: int = 7) -> float:
+def median_seconds(
+    work: Callable[[], object], runs: int = 7, clock: Callable[[], float] = time.perf_counter
+) -> float:
     """Median seconds of a call, after one that is not counted."""
 
     def seconds() -> float:
-        start = time.perf_counter()
+        start = clock()
         work()
-        return time.perf_counter() - start
+        return clock() - start
 
     return statistics.median(in_turn(seconds, runs=runs)[0])
