@@ -215,10 +215,10 @@ class BankWriter:
             write_seal(self.partial)
             _sync(self.partial)
             os.replace(self.partial, self.target)
-            self._thread.shutdown()
         except BaseException:
             self._discard()
             raise
+        self._thread.shutdown()
         _sync(self.target.parent)
 
     def _discard(self) -> None:
