@@ -93,6 +93,9 @@ class BankWriter:
         self._sink: _Sink | None = None
         self._open = ExitStack()
         self._thread = ThreadPoolExecutor(1)
+        # The thread is there before any file is. Ctrl-C while one is being started leaves an
+        # executor that does not know it, and so would not wait for it before the file is removed.
+        self._thread.submit(int).result()
         self._pool = pool
         # Chunks on their way, in the order in which they go to the file.
         self._waiting: deque[tuple[h5py.Dataset, int, int, Future[bytes]]] = deque()
