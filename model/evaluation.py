@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Subset
 
 from model.data import BadSamples, PoseDataset, collate, denormalise
 from model.drawing import draw_errors, draw_estimate
-from model.errors import RunError
+from model.errors import ConfigError, RunError
 from model.localizer import Localizer
 from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
 from model.runs import Checkpoint
@@ -121,6 +121,7 @@ def evaluate(
     split: str | None = None,
     part: str = "test",
     root: str | None = None,
+    limit: int | None = None,
     checkpoint: Checkpoint = "best",
     out: str | Path | None = None,
     overwrite: bool = False,
@@ -145,6 +146,8 @@ def evaluate(
         Part of the data set.
     root : str, optional
         Where the data lie, if not where they lay in training.
+    limit : int, optional
+        Only so many samples, spread evenly over the part.
     checkpoint : {"best", "last"}
         Which weights.
     out : path, optional
@@ -183,6 +186,11 @@ def evaluate(
     split = split or config.split
     dataset = config.dataset(part, root, split)
     name = f"{split}_{part}_{localizer.grid}_{checkpoint}"
+    if limit is not None:
+        if limit < 1:
+            raise ConfigError(f"limit is {limit}; it must be at least 1")
+        name += f"_{limit}"
+    chosen = Subset(dataset, _spread(len(dataset), limit))
     folder = Path(out) if out is not None else Path(run) / "evaluation" / name
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
@@ -202,7 +210,7 @@ def evaluate(
         "seed": config.seed,
     }
     workers = config.workers if workers is None else workers
-    evaluation = _measure(settings, localizer, dataset, workers, progress)
+    evaluation = _measure(settings, localizer, chosen, workers, progress)
     _write(evaluation, folder)
     _draw(evaluation, localizer, dataset, folder)
     return evaluation, folder
@@ -211,14 +219,15 @@ def evaluate(
 def _measure(
     settings: dict[str, Any],
     localizer: Localizer,
-    dataset: PoseDataset,
+    chosen: Subset,
     workers: int,
     progress: Progress | None,
 ) -> Evaluation:
-    """Estimate every sample's pose."""
+    """Estimate the pose of every sample chosen."""
+    dataset = chosen.dataset
     candidates = localizer.within()
     loader = DataLoader(
-        dataset, localizer.config.batch_size, num_workers=workers, collate_fn=collate
+        chosen, localizer.config.batch_size, num_workers=workers, collate_fn=collate
     )
     read: list[int] = []
     best: list[Tensor] = []
@@ -230,10 +239,10 @@ def _measure(
             best.append(found.indices.cpu())
             scores.append(found.values.cpu())
         if progress is not None:
-            progress(min(number * localizer.config.batch_size, len(dataset)), len(dataset))
+            progress(min(number * localizer.config.batch_size, len(chosen)), len(chosen))
     bad_samples = dataset.bad_samples.entries()
     if not read:
-        raise RunError(f"none of the {len(dataset)} samples can be read: {bad_samples}")
+        raise RunError(f"none of the {len(chosen)} samples can be read: {bad_samples}")
     estimates = candidates.poses[torch.cat(best).numpy()]
     truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
     return Evaluation(
@@ -245,9 +254,15 @@ def _measure(
         tile_metres=tile_metres,
         errors=pose_errors(estimates, truths, tile_metres),
         floor=candidate_floor(candidates.poses, truths, tile_metres),
-        outside=dataset.count_outside(localizer.grid.extent),
+        outside=dataset.count_outside(localizer.grid.extent, read),
         bad_samples=bad_samples,
     )
+
+
+def _spread(count: int, limit: int | None) -> list[int]:
+    """At most `limit` of the numbers 0 to count - 1, spread evenly."""
+    some = count if limit is None else min(limit, count)
+    return np.linspace(0, count - 1, some).round().astype(int).tolist()
 
 
 def _write(evaluation: Evaluation, folder: Path) -> None:
@@ -278,6 +293,7 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
             evaluation.estimates[n],
             localizer.frustum,
             truth=evaluation.truths[n],
+            ground=denormalise(sample["ground"]),
             title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
         )
         save_figure(figure, folder / f"{case}.png")

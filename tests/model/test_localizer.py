@@ -212,6 +212,17 @@ def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
     np.testing.assert_array_equal(again.estimates, evaluation.estimates)
 
 
+def test_an_evaluation_of_some_samples_takes_them_from_all_over(run, cache):
+    whole, _ = evaluate(run, cache=cache, device="cpu", overwrite=True)
+    some, folder = evaluate(run, limit=3, cache=cache, device="cpu")
+    assert folder.name == "same-area_test_4x5x8_best_3"
+    assert some.names == whole.names[::2]
+    np.testing.assert_array_equal(some.estimates, whole.estimates[::2])
+    assert len(evaluate(run, limit=99, cache=cache, device="cpu")[0].names) == 5
+    with pytest.raises(ConfigError, match="limit is 0; it must be at least 1"):
+        evaluate(run, limit=0, cache=cache, device="cpu")
+
+
 def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
     root = shutil.copytree(vigor.root, tmp_path / "vigor")
     broken = sorted((root / "Chicago" / "satellite").iterdir())[2]
