@@ -27,6 +27,8 @@ Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 _PADDED = 8
 # Values in one block: what a CPU's cache holds; what may keep a GPU busy (not measured).
 _VALUES_CPU, _VALUES_GPU = 1 << 20, 1 << 24
+# Values that a pair may keep for the gradients. Where there are more, its blocks are pooled again.
+_VALUES_KEPT = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,11 @@ class PoolingPlan:
         """How many shares there are."""
         gathered = sum(len(cells) for cells, _ in self.gathered)
         return gathered * self.slot.shape[1] + sum(map(len, self.single))
+
+    @property
+    def vectors(self) -> int:
+        """How many vectors of C channels pooling goes through: gathered cells and descriptors."""
+        return sum(cells.numel() for cells, _ in self.gathered) + self.shares
 
 
 def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
@@ -156,9 +163,11 @@ def _pool_blocks(
     vectors: int,
 ) -> Iterator[Tensor]:
     """The shares of `pool_shares`, in blocks of so many vectors of C channels."""
+    many = dots.requires_grad and plan.vectors * features.shape[1] > _VALUES_KEPT
+    call = _call_again if many else _call
     for whole in plan.gathered:
         for cells, fractions in _cut(whole, vectors, dots.shape[1]):
-            yield _forgetful(_pool_gathered, cells, fractions, features, attention, dots)
+            yield call(_pool_gathered, cells, fractions, features, attention, dots)
     for n, numbers in enumerate(plan.single):
         if not len(numbers):
             continue
@@ -166,7 +175,7 @@ def _pool_blocks(
         dots_n = dots[:, n, None].contiguous()
         for some in numbers.split(max(1, vectors)):
             rows = take_rows(masks, some)
-            yield _forgetful(_pool_single, *rows, attended, dots_n)
+            yield call(_pool_single, *rows, attended, dots_n)
 
 
 def take_rows(masks: Masks, chosen: Tensor) -> Masks:
@@ -219,8 +228,10 @@ def _shares(dots: Tensor, lengths: Tensor) -> Tensor:
     return torch.stack([dots / torch.where(some, lengths, 1.0) * some, some], dim=-1).flatten(0, -2)
 
 
-def _forgetful(pool: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
-    """Call `pool`; for the gradients it is called again, so that nothing large is kept."""
-    if not any(argument.requires_grad for argument in arguments):
-        return pool(*arguments)
+def _call(pool: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
+    return pool(*arguments)
+
+
+def _call_again(pool: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
+    """Call `pool`, and again for the gradients, so that nothing large is kept between."""
     return checkpoint(pool, *arguments, use_reentrant=False, preserve_rng_state=False)

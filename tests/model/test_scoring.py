@@ -70,7 +70,13 @@ def test_every_mode_equals_the_dense_product(bank, values_at_once):
     np.testing.assert_allclose(score_masks(*inputs, dense), expected, rtol=0, atol=1e-6)
 
 
-def test_gradients_equal_those_of_the_dense_product(bank):
+@pytest.fixture(params=[True, False], ids=["kept for the gradients", "pooled again"])
+def kept(request, monkeypatch):
+    """Either way to the gradients, whatever the size."""
+    monkeypatch.setattr("model.pooling._VALUES_KEPT", 1 << 40 if request.param else 0)
+
+
+def test_gradients_equal_those_of_the_dense_product(bank, kept):
     inputs = [x.requires_grad_() for x in features(bank.spec.frustum.slices, dtype=torch.float64)]
     weights = torch.randn(BATCH, len(bank), dtype=torch.float64)
     dense = torch.from_numpy(all_masks(bank)).expand(BATCH, -1, -1, -1, -1)
@@ -202,7 +208,7 @@ def test_features_that_nearly_cancel(tmp_path, frustum):
     np.testing.assert_allclose(found[:, 5], expected[:, 5], rtol=1e-4)
 
 
-def test_gradients_of_masks_that_are_pooled_both_ways(tmp_path):
+def test_gradients_of_masks_that_are_pooled_both_ways(tmp_path, kept):
     """Masks pooled both ways, in blocks, give the gradients of the dense product."""
     frustum = Frustum(360, 16)
     with open_bank(build_bank(PoseGrid.parse("2x2x32"), frustum, 4, cache=tmp_path).path) as bank:
