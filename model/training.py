@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, DistributedSampler
 
 from model import _torchvision  # noqa: F401  before lightning: see there
+from model.calibration import calibrate
 from model.config import TrainConfig
 from model.data import BadSamples, PoseDataset, collate, denormalise
 from model.drawing import draw_estimate
@@ -132,8 +133,12 @@ def train(
         trainer.fit(
             module, datamodule=data, ckpt_path=last if resuming else None, weights_only=True
         )
-    if trainer.is_global_zero and (message := bad_samples.report()):
-        log.warning(message)
+    if trainer.is_global_zero:
+        if message := bad_samples.report():
+            log.warning(message)
+        if validation is not None:
+            device = "cpu" if config.accelerator == "cpu" else "auto"
+            calibrate(run.path, device=device, cache=cache)
     return run.path
 
 

@@ -13,9 +13,10 @@ from model.config import TrainConfig
 from model.data.errors import ImageError
 from model.errors import ConfigError, RunError
 from model.evaluation import evaluate
-from model.localizer import Estimate, Localizer
+from model.localizer import Estimate, Localizer, Mode
+from model.scoring import score_masks
 from model.training import train
-from slicemask import Frustum, PoseGrid, build_bank
+from slicemask import Frustum, PoseGrid, build_bank, slice_masks
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +66,8 @@ def images(vigor):
     return city / "panorama" / panorama, city / "satellite" / tile
 
 
-def test_an_estimate_is_the_best_candidate(localizer, images):
-    estimate = localizer.localize(*images)
+def test_an_unrefined_estimate_is_the_best_candidate(localizer, images):
+    estimate = localizer.localize(*images, refine="none")
     assert estimate.scores.shape == (4, 5, 8)
     assert estimate.heat_map.shape == (4, 5)
     best = np.unravel_index(estimate.scores.argmax(), estimate.scores.shape)
@@ -119,11 +120,11 @@ def test_a_tile_is_encoded_once_for_many_ground_images(run, cache, vigor, images
 
 def test_priors_leave_candidates_out(localizer, images):
     whole = localizer.localize(*images)
-    near_north = localizer.localize(*images, heading_prior_deg=(350, 60))
+    near_north = localizer.localize(*images, heading_prior_deg=(350, 60), refine="none")
     assert np.isfinite(near_north.scores).any(axis=(0, 1)).tolist() == [
         True, True, False, False, False, False, False, True,
     ]  # fmt: skip
-    corner = localizer.localize(*images, place_prior=(0.1, 0.125, 0.05))
+    corner = localizer.localize(*images, place_prior=(0.1, 0.125, 0.05), refine="none")
     assert np.isfinite(corner.heat_map).sum() == 1
     np.testing.assert_array_equal(corner.pose[:2], [0.1, 0.125])
     kept = np.isfinite(near_north.scores)
@@ -158,20 +159,100 @@ def test_pictures_that_cannot_be(localizer, images):
         localizer.localize(images[0], np.zeros((4, 4)))
 
 
-def test_offsets_in_metres():
-    estimate = Estimate(
-        np.array([0.75, 0.25, 90.0]), 0.5, np.zeros((1, 1, 1)), PoseGrid(1, 1, 1), 640
+@pytest.mark.parametrize("refine", ["fine", "continuous"])
+def test_a_refined_estimate_scores_no_less(localizer, images, refine):
+    grid = localizer.localize(*images, refine="none")
+    refined = localizer.localize(*images, refine=refine)
+    np.testing.assert_array_equal(refined.scores, grid.scores)
+    assert refined.score > grid.score
+    assert (refined.pose != grid.pose).any()
+    # The score is that of the pose's own exact masks.
+    masks = slice_masks(torch.from_numpy(refined.pose)[None], localizer.frustum, 4, "rays")
+    with torch.no_grad():
+        ground = localizer.model.encode_ground(localizer._ground(images[0]))
+        aerial = localizer.encode_aerial(images[1]).features
+        attention = localizer.model.attend(aerial, ground)
+        score = score_masks(ground, aerial, attention, masks[None])
+    assert refined.score == pytest.approx(score.item(), abs=1e-6)
+    assert [mode.score for mode in refined.modes] == sorted(
+        (mode.score for mode in refined.modes), reverse=True
     )
+
+
+@pytest.mark.parametrize("refine", ["fine", "continuous"])
+def test_a_refined_estimate_keeps_to_the_priors(localizer, images, refine):
+    for mode in localizer.localize(*images, (0, 20), (0.1, 0.125, 0.05), refine=refine).modes:
+        assert abs((mode.pose[2] + 180) % 360 - 180) <= 20 + 1e-9
+        assert np.hypot(mode.pose[0] - 0.1, mode.pose[1] - 0.125) <= 0.05 + 1e-9
+    aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine=refine)
+    assert {mode.pose[2] for mode in aligned.modes} == {45.0}
+    assert len({mode.pose[0] for mode in aligned.modes}) > 1
+
+
+def test_probabilities_sum_to_one_and_modes_share_them(localizer, images):
+    estimate = localizer.localize(*images, heading_prior_deg=(0, 100))
+    assert estimate.probabilities.shape == (4, 5, 8)
+    assert estimate.probabilities.sum() == pytest.approx(1)
+    assert (estimate.probabilities[..., 3:6] == 0).all()
+    np.testing.assert_allclose(estimate.place_map.sum(), 1)
+    assert 0 < sum(mode.probability for mode in estimate.modes) <= 1 + 1e-9
+    expected = torch.from_numpy(estimate.scores / estimate.temperature).flatten().softmax(0)
+    np.testing.assert_allclose(estimate.probabilities.ravel(), expected, atol=1e-6)
+
+
+def test_a_fitted_temperature_is_used(run, vigor, cache, images, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "run")
+    loss = Localizer.load(copy, cache=cache, device="cpu")
+    assert (loss.temperature, loss.calibrated) == (0.1, False)
+    (copy / "calibration.json").write_text('{"temperature": 0.025}')
+    fitted = Localizer.load(copy, cache=cache, device="cpu")
+    assert (fitted.temperature, fitted.calibrated) == (0.025, True)
+    one, other = (some.localize(*images).probabilities for some in (loss, fitted))
+    assert other.max() > one.max()
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"temperature": 0}', '{"temperature": NaN}', "{}"])
+def test_a_spoilt_calibration_is_refused(run, cache, tmp_path, content):
+    copy = shutil.copytree(run, tmp_path / "run")
+    (copy / "calibration.json").write_text(content)
+    with pytest.raises(RunError, match=r"calibration.json: holds no temperature"):
+        Localizer.load(copy, cache=cache, device="cpu")
+
+
+def test_a_refinement_of_another_name_is_refused(localizer, run, cache, images):
+    with pytest.raises(ConfigError, match="refine is 'coarse'; it must be one of none, fine"):
+        localizer.localize(*images, refine="coarse")
+    with pytest.raises(ConfigError, match="refine is 'coarse'"):
+        Localizer.load(run, cache=cache, device="cpu", refine="coarse")
+
+
+def test_offsets_in_metres_and_on_the_globe():
+    modes = (
+        Mode(np.array([0.75, 0.25, 90.0]), 0.5, 0.75),
+        Mode(np.array([0.5, 0.5, 0.0]), 0.25, 0.25),
+    )
+    estimate = Estimate(modes, np.zeros((1, 1, 1)), PoseGrid(1, 1, 1), 640, 0.1)
     assert estimate.offset_m(0.1) == (16.0, 16.0)
     assert estimate.as_dict(0.1) == {
-        "u": 0.75, "v": 0.25, "heading_deg": 90.0, "score": 0.5, "east_m": 16.0, "north_m": 16.0,
+        "u": 0.75, "v": 0.25, "heading_deg": 90.0, "score": 0.5, "probability": 0.75,
+        "east_m": 16.0, "north_m": 16.0, "covariance": [[0.0] * 3] * 3, "temperature": 0.1,
+        "other_modes": [
+            {"u": 0.5, "v": 0.5, "heading_deg": 0.0, "score": 0.25, "probability": 0.25,
+             "east_m": 0.0, "north_m": 0.0},
+        ],
     }  # fmt: skip
+    placed = estimate.as_dict(0.1, (52.0, 4.0))
+    assert placed["latitude"] == pytest.approx(52 + 16 / 111_260, abs=2e-6)
+    assert placed["longitude"] == pytest.approx(4 + 16 / 68_680, abs=2e-6)
+    assert placed["other_modes"][0]["latitude"] == pytest.approx(52.0)
     with pytest.raises(ConfigError, match="metres per pixel is -1"):
         estimate.offset_m(-1)
+    with pytest.raises(ConfigError, match="give its metres per pixel too"):
+        estimate.as_dict(centre=(52.0, 4.0))
 
 
 def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
-    evaluation, folder = evaluate(run, cache=cache, device="cpu")
+    evaluation, folder = evaluate(run, cache=cache, device="cpu", refine="none")
     assert folder == run / "evaluation" / "same-area_test_4x5x8_best"
     assert {path.name for path in folder.iterdir()} == {
         "result.json", "samples.csv", "errors.png", "best.png", "median.png", "worst.png",
@@ -199,10 +280,34 @@ def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
     assert f"{result['floor']['place_median_m']:.2f} m" in report
 
     with pytest.raises(RunError, match="holds results already"):
-        evaluate(run, cache=cache, device="cpu")
-    again, _ = evaluate(run, cache=cache, device="cpu", overwrite=True)
+        evaluate(run, cache=cache, device="cpu", refine="none")
+    again, _ = evaluate(run, cache=cache, device="cpu", overwrite=True, refine="none")
     np.testing.assert_array_equal(again.truths, evaluation.truths)
     np.testing.assert_array_equal(again.estimates, evaluation.estimates)
+
+
+def test_a_refined_evaluation_is_what_localising_gives(run, cache, vigor):
+    evaluation, folder = evaluate(run, cache=cache, device="cpu", refine="fine")
+    assert folder == run / "evaluation" / "same-area_test_4x5x8_best_fine"
+    result = json.loads((folder / "result.json").read_text())
+    assert (result["refine"], result["calibrated"], result["temperature"]) == ("fine", False, 0.1)
+    assert "refine fine" in evaluation.report()
+    assert "temperature 0.1 (the loss's tau, none is fitted)" in evaluation.report()
+    grid = PoseGrid.parse("4x5x8").poses()
+    assert not (evaluation.estimates[:, None] == grid).all(axis=2).any()
+
+    # The floor is still that of the grid; calibration is that of the samples.
+    unrefined, _ = evaluate(run, cache=cache, device="cpu", refine="none", overwrite=True)
+    assert result["floor"] == unrefined.floor.summary()
+    assert (evaluation.scores >= unrefined.scores).all()
+    samples, sure = result["per_sample"], result["calibration"]
+    assert sure["mean_probability"] == pytest.approx(np.mean([s["probability"] for s in samples]))
+    assert sure["share_near"] == np.mean([s["near"] for s in samples])
+    assert sure["share_in_region"] == np.mean([s["in_region"] for s in samples])
+    for sample in samples:
+        metres = 0.1 * 0.111262 * 640
+        close = sample["error_place_m"] <= 1.5 / 4 * 10 * metres
+        assert sample["near"] == (close and sample["error_heading_deg"] <= 1.5 * 45)
 
 
 def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
