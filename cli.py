@@ -414,6 +414,7 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         ("slices", int, "N.  [default: 16]"),
         ("alpha", _Alpha(), "Weight of the candidates; K is plain infoNCE.  [default: 4]"),
         ("tau", float, "Temperature of the loss.  [default: 0.1]"),
+        ("near-negatives", int, "Negatives around each true pose.  [default: 0]"),
         ("learning-rate", float, "Of Adam.  [default: 1e-5]"),
         ("batch-size", int, "Pairs in a step, on each device.  [default: 4]"),
         ("epochs", int, "Rounds through the training part.  [default: 30]"),
@@ -434,6 +435,11 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         "--cross-view-attention/--no-cross-view-attention",
         default=None,
         help="Whether aerial attention sees the ground.  [default: it does]",
+    )(command)
+    command = click.option(
+        "--grid-jitter/--no-grid-jitter",
+        default=None,
+        help="Whether the training grid moves at random.  [default: it does not]",
     )(command)
     for name, kind, text in reversed(options):
         command = click.option(f"--{name}", type=kind, help=text)(command)
