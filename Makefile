@@ -5,10 +5,11 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help bank test lint bench clean
+.PHONY: help bank demo test lint bench clean
 
 help:
 	@echo "make bank    build the default bank into masks_cache/ and draw it"
+	@echo "make demo    generate two cities, train on one, find cameras in the other, draw it"
 	@echo "make test    run all tests"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   print the benchmark tables"
@@ -29,6 +30,13 @@ $(VENV)/.full: $(VENV)/.core
 bank: $(VENV)/.core
 	$(BIN)/slicemask build --grid 21x21x64 --hfov 360 --cache masks_cache
 	$(BIN)/slicemask visualize masks_cache/21x21x64_hfov360_n16_l32.h5 --out masks_cache/default.png
+
+# Cut short, it goes on where it stopped.
+demo: $(VENV)/.full
+	$(BIN)/slicemask synth --format vigor --cities 2 --panoramas 400 --seed 1 --panorama-size 512x256 --tile-size 320 --out data/demo
+	$(BIN)/slicemask train --config examples/demo.yaml --out runs/demo --resume
+	$(BIN)/slicemask evaluate runs/demo --grid 21x21x64 --checkpoint last --limit 100 --out runs/demo/unseen --overwrite
+	@echo "pictures: runs/demo/unseen/best.png, median.png, worst.png, errors.png"
 
 test: $(VENV)/.full
 	$(BIN)/python -m pytest -n auto

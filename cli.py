@@ -416,6 +416,11 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         ("tau", float, "Temperature of the loss.  [default: 0.1]"),
         ("near-negatives", int, "Negatives around each true pose.  [default: 0]"),
         ("learning-rate", float, "Of Adam.  [default: 1e-5]"),
+        (
+            "schedule",
+            click.Choice(["constant", "one-cycle"]),
+            "Of the learning rate.  [default: constant]",
+        ),
         ("batch-size", int, "Pairs in a step, on each device.  [default: 4]"),
         ("epochs", int, "Rounds through the training part.  [default: 30]"),
         ("validation-fraction", float, "Share that chooses the best checkpoint.  [default: 0.1]"),
@@ -440,6 +445,11 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         "--grid-jitter/--no-grid-jitter",
         default=None,
         help="Whether the training grid moves at random.  [default: it does not]",
+    )(command)
+    command = click.option(
+        "--augment/--no-augment",
+        default=None,
+        help="Turn, mirror and recolour training samples.  [default: not]",
     )(command)
     for name, kind, text in reversed(options):
         command = click.option(f"--{name}", type=kind, help=text)(command)
@@ -530,6 +540,7 @@ def train(
     help="Part of the data set.",
 )
 @click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
+@click.option("--limit", type=int, help="Only so many samples, spread evenly.  [default: all]")
 @click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")

@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader, Subset
 
 from model.data import BadSamples, collate
 from model.errors import ConfigError
+from model.evaluation import spread
 from model.localizer import Localizer
 from model.metrics import nearest_candidates
 from model.runs import Checkpoint, RunFolder
@@ -72,10 +73,9 @@ def calibrate(
             "temperature to; without one the loss's tau is used"
         )
     dataset = config.dataset("validation", root)
-    count = min(len(dataset), MOST_SAMPLES)
-    chosen = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int))
+    chosen = spread(len(dataset), MOST_SAMPLES)
     loader = DataLoader(
-        Subset(dataset, chosen.tolist()),
+        Subset(dataset, chosen),
         config.batch_size,
         num_workers=config.workers if workers is None else workers,
         collate_fn=collate,

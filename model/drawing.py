@@ -20,6 +20,7 @@ def draw_estimate(
     pose: ArrayLike,
     frustum: Frustum,
     truth: ArrayLike | None = None,
+    ground: NDArray[np.uint8] | Image.Image | None = None,
     title: str = "",
 ) -> Figure:
     """The heat map over the tile, with the estimated pose, its slices and the truth.
@@ -38,11 +39,21 @@ def draw_estimate(
         Its slices.
     truth : float [3], optional
         The true pose.
+    ground : uint8 [H, W, 3] or picture, optional
+        The ground image, shown below and cut into the slices; its centre column looks where the
+        arrows point.
     title : str
         A line above the picture.
     """
-    figure = Figure(figsize=(6.4, 5.6), layout="constrained")
-    axes = figure.add_subplot()
+    if ground is None:
+        figure = Figure(figsize=(6.4, 5.6), layout="constrained")
+        axes = figure.add_subplot()
+    else:
+        pixels = np.asarray(ground)
+        share = pixels.shape[0] / pixels.shape[1]
+        figure = Figure(figsize=(6.4, 5.6 + 5.6 * share), layout="constrained")
+        axes, below = figure.subplots(2, 1, height_ratios=(1, share))
+        _draw_ground(below, pixels, frustum.slices)
     # In grey, so that all colour is the heat map's.
     axes.imshow(np.asarray(aerial).mean(axis=2), cmap="gray", extent=(0, 1, 1, 0))
     seen = np.ma.masked_invalid(np.asarray(heat_map, dtype=np.float64))
@@ -91,6 +102,17 @@ def draw_errors(errors: PoseErrors, floor: Floor) -> Figure:
 def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: str) -> None:
     ordered = np.concatenate([[0.0], np.sort(values)])
     axes.step(ordered, np.arange(len(ordered)) / len(values), where="post", **style)
+
+
+def _draw_ground(axes: Axes, ground: NDArray[np.uint8], slices: int) -> None:
+    """The ground image between the slices' edges, with its centre column marked."""
+    height, width = ground.shape[:2]
+    axes.imshow(ground)
+    for edge in np.arange(1, slices) * width / slices - 0.5:
+        axes.axvline(edge, color="white", linewidth=0.8, alpha=0.8)
+    axes.plot(width / 2 - 0.5, height - 1, "^", color=_ESTIMATE, markeredgecolor="white",
+              markersize=9, clip_on=False)  # fmt: skip
+    axes.set(xticks=[], yticks=[])
 
 
 def _draw_slices(axes: Axes, pose: NDArray[np.float64], frustum: Frustum) -> None:

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Subset
 
 from model.data import BadSamples, PoseDataset, collate, denormalise
 from model.drawing import draw_errors, draw_estimate
-from model.errors import RunError
+from model.errors import ConfigError, RunError
 from model.localizer import Estimate, Localizer
 from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
 from model.refinement import DEFAULT, Refine, near
@@ -139,6 +139,7 @@ def evaluate(
     split: str | None = None,
     part: str = "test",
     root: str | None = None,
+    limit: int | None = None,
     checkpoint: Checkpoint = "best",
     out: str | Path | None = None,
     overwrite: bool = False,
@@ -164,6 +165,8 @@ def evaluate(
         Part of the data set.
     root : str, optional
         Where the data lie, if not where they lay in training.
+    limit : int, optional
+        Only so many samples, spread evenly over the part.
     checkpoint : {"best", "last"}
         Which weights.
     out : path, optional
@@ -206,6 +209,11 @@ def evaluate(
     name = f"{split}_{part}_{localizer.grid}_{checkpoint}"
     if refine != "none":
         name += f"_{refine}"
+    if limit is not None:
+        if limit < 1:
+            raise ConfigError(f"limit is {limit}; it must be at least 1")
+        name += f"_{limit}"
+    chosen = Subset(dataset, spread(len(dataset), limit))
     folder = Path(out) if out is not None else Path(run) / "evaluation" / name
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
@@ -228,22 +236,29 @@ def evaluate(
         "calibrated": localizer.calibrated,
     }
     workers = config.workers if workers is None else workers
-    evaluation = _measure(settings, localizer, dataset, workers, progress)
+    evaluation = _measure(settings, localizer, chosen, workers, progress)
     _write(evaluation, folder)
     _draw(evaluation, localizer, dataset, folder)
     return evaluation, folder
 
 
+def spread(count: int, limit: int | None) -> list[int]:
+    """At most `limit` of the numbers 0 to count - 1, spread evenly."""
+    some = count if limit is None else min(limit, count)
+    return np.linspace(0, count - 1, some).round().astype(int).tolist()
+
+
 def _measure(
     settings: dict[str, Any],
     localizer: Localizer,
-    dataset: PoseDataset,
+    chosen: Subset,
     workers: int,
     progress: Progress | None,
 ) -> Evaluation:
-    """Estimate every sample's pose."""
+    """Estimate the pose of every sample chosen."""
+    dataset = chosen.dataset
     loader = DataLoader(
-        dataset, localizer.config.batch_size, num_workers=workers, collate_fn=collate
+        chosen, localizer.config.batch_size, num_workers=workers, collate_fn=collate
     )
     read: list[int] = []
     estimates: list[_Kept] = []
@@ -255,10 +270,10 @@ def _measure(
             found = _estimates(localizer, batch["ground"], batch["aerial"], metres)
             estimates += map(_keep, found, truths)
         if progress is not None:
-            progress(min(number * localizer.config.batch_size, len(dataset)), len(dataset))
+            progress(min(number * localizer.config.batch_size, len(chosen)), len(chosen))
     bad_samples = dataset.bad_samples.entries()
     if not read:
-        raise RunError(f"none of the {len(dataset)} samples can be read: {bad_samples}")
+        raise RunError(f"none of the {len(chosen)} samples can be read: {bad_samples}")
     poses = np.array([kept.pose for kept in estimates])
     truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
     return Evaluation(
@@ -276,7 +291,7 @@ def _measure(
             in_region=np.array([kept.in_region for kept in estimates]),
             region_share=np.array([kept.region_share for kept in estimates]),
         ),
-        outside=dataset.count_outside(localizer.grid.extent),
+        outside=dataset.count_outside(localizer.grid.extent, read),
         bad_samples=bad_samples,
     )
 
@@ -335,6 +350,7 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
             evaluation.estimates[n],
             localizer.frustum,
             truth=evaluation.truths[n],
+            ground=denormalise(sample["ground"]),
             title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
         )
         save_figure(figure, folder / f"{case}.png")

@@ -152,8 +152,10 @@ def is_first_process() -> bool:
 def _check_same(run: RunFolder, config: TrainConfig) -> None:
     """Refuse to resume a run with other settings than its own."""
     before, now = asdict(run.load_config()), asdict(config)
+    # A schedule that comes down at the end is laid out for a number of epochs.
+    fixed = {"epochs"} if config.schedule != "constant" else set()
     for name, value in now.items():
-        if name not in _FREE and before[name] != value:
+        if (name not in _FREE or name in fixed) and before[name] != value:
             raise RunError(
                 f"{run.path}: was trained with {name} {before[name]!r}, and {value!r} is asked "
                 "for; resume with the run's own settings, or train into another folder"
@@ -261,9 +263,22 @@ class TrainingModule(lightning.LightningModule):
             )
         self._estimates: list[tuple[Tensor, Tensor, Tensor]] = []
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Adam, as in the paper."""
-        return torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
+    def configure_optimizers(self) -> torch.optim.Optimizer | dict[str, Any]:
+        """Adam, as in the paper, with its constant learning rate or the one-cycle schedule."""
+        optimizer = torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
+        if self.config.schedule == "constant":
+            return optimizer
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            optimizer,
+            max_lr=self.config.learning_rate,
+            total_steps=int(self.trainer.estimated_stepping_batches),
+            pct_start=0.1,
+            cycle_momentum=False,  # the betas are Adam's own throughout
+        )
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
+        }
 
     def on_fit_start(self) -> None:
         """Bring the candidates to the model's device."""

@@ -167,18 +167,10 @@ class KittiDataset(PoseDataset):
         self.hfov_deg = find_hfov_deg(self._root)
         self._check_not_empty()
 
-    def pose(self, index: int) -> np.ndarray:
-        """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
+    def _pose(self, index: int) -> np.ndarray:
         return camera_pose(*self._cut(index))
 
-    def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample.
-
-        Raises
-        ------
-        SampleError
-            If an image or the frame's position file cannot be used.
-        """
+    def _load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         drive, frame = self.names[index].rsplit("/", 1)
         raw = self._root / "raw_data" / drive
         ground_file = raw / "image_02" / "data" / frame

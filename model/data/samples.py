@@ -12,7 +12,9 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, default_collate
 
+from model.data.augmentation import recolour
 from model.data.errors import DatasetError, SampleError
+from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 
 PARTS = ("train", "validation", "test")
 log = logging.getLogger(__name__)
@@ -36,6 +38,9 @@ class DataConfig:
     validation_fraction : float
         The share of the training file that is set aside for validation, since neither data set
         has a file for it; 0 trains on everything and leaves no validation part. Ours: 0.1.
+    augment : bool
+        Turn, mirror and recolour the samples of the training part: see `PoseDataset`. Ours; the
+        paper does not.
     seed : int
         Of the validation part and of every heading, shift and turn that is drawn.
 
@@ -50,6 +55,7 @@ class DataConfig:
     ground_size: tuple[int, int]
     aerial_size: int = 512
     validation_fraction: float = 0.1
+    augment: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -74,6 +80,7 @@ class DataConfig:
                 isinstance(fraction, int | float) and 0 <= fraction < 1,
                 "a number of at least 0 and below 1",
             ),
+            "augment": (isinstance(self.augment, bool), "true or false"),
             "seed": (isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0 up"),
         }
         for name, (holds, expected) in wanted.items():
@@ -165,6 +172,11 @@ class PoseDataset(Dataset):
     process or selection of samples, and after a resume. Training draws anew in every epoch; call
     `set_epoch` before an epoch's iterator is made. Validation and test draw once and for all.
 
+    With `DataConfig.augment`, a training sample is shown under one of the tile's eight symmetries
+    (quarter turns and mirrorings), drawn anew in every epoch: the tile is turned and mirrored, the
+    pose with it, and the ground image mirrored where the tile is. With a heading prior, only the
+    symmetries that keep its centre are drawn. Its colours change as `recolour` says.
+
     A sample that cannot be read raises `SampleError`, unless the data set was given a `BadSamples`:
     then it is written down there and, in training, the next readable sample stands in, so that
     batches stay whole; in validation and test, where a stand-in would count twice, the item is
@@ -213,7 +225,8 @@ class PoseDataset(Dataset):
 
     def pose(self, index: int) -> np.ndarray:
         """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
-        raise NotImplementedError
+        pose = self._pose(index)
+        return self._symmetry(index).pose(pose) if self._augmented else pose
 
     def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample.
@@ -223,19 +236,52 @@ class PoseDataset(Dataset):
         SampleError
             If a file of the sample cannot be used.
         """
+        ground, aerial = self._load(index)
+        if not self._augmented:
+            return ground, aerial
+        symmetry = self._symmetry(index)
+        if symmetry.turn[0] < 0:
+            ground = ground.flip(-1)
+        aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
+        return recolour(ground, aerial, self._random(index, "colours"))
+
+    def _pose(self, index: int) -> np.ndarray:
+        """`pose` as the data set has it."""
         raise NotImplementedError
+
+    def _load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """`load` as the data set has it."""
+        raise NotImplementedError
+
+    @property
+    def _augmented(self) -> bool:
+        return self.config.augment and self.part == "train"
+
+    def _symmetry(self, index: int) -> Symmetry:
+        """The symmetry that a sample is shown under in this epoch."""
+        centre = self.prior_centre_deg
+        kept = [
+            symmetry
+            for symmetry in SYMMETRIES
+            if self.heading_prior_deg is None
+            or symmetry.pose(np.array([0.5, 0.5, centre]))[2] == centre
+        ]
+        return kept[self._random(index, "symmetry").integers(len(kept))]
 
     def poses(self) -> np.ndarray:
         """All true poses, float64 [n, 3]; those of the epoch that was set, in training."""
         return np.array([self.pose(index) for index in range(len(self))]).reshape(-1, 3)
 
-    def count_outside(self, extent: tuple[float, float, float, float]) -> int:
+    def count_outside(
+        self, extent: tuple[float, float, float, float], indices: list[int] | None = None
+    ) -> int:
         """How many true places lie outside (u0, v0, u1, v1), where no candidate can find them.
 
+        Of all samples, or of those with the indices given.
         The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is inside.
         """
         u0, v0, u1, v1 = extent
-        u, v, _ = self.poses().T
+        u, v, _ = self.poses()[slice(None) if indices is None else indices].T
         return int(np.count_nonzero((u < u0) | (u > u1) | (v < v0) | (v > v1)))
 
     def __len__(self) -> int:
@@ -266,11 +312,11 @@ class PoseDataset(Dataset):
             )
         return None
 
-    def _random(self, index: int) -> np.random.Generator:
-        """Random numbers of one sample, in training of one sample in one epoch."""
+    def _random(self, index: int, purpose: str = "") -> np.random.Generator:
+        """Random numbers of one sample for one purpose, in training of one sample in one epoch."""
         epoch = int(self._epoch) + 1 if self.part == "train" else 0
         return np.random.default_rng(
-            [self.config.seed, epoch, zlib.crc32(self.names[index].encode())]
+            [self.config.seed, epoch, zlib.crc32((self.names[index] + purpose).encode())]
         )
 
     def _choose_part(self, count: int) -> np.ndarray:

@@ -183,18 +183,10 @@ class VigorDataset(PoseDataset):
         self.tile_metres = np.array(metres)[chosen]
         self._check_not_empty()
 
-    def pose(self, index: int) -> np.ndarray:
-        """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
+    def _pose(self, index: int) -> np.ndarray:
         return np.array([*self._places[index], self._heading_deg(index)])
 
-    def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Ground float32 [3, Hg, Wg], facing the sample's heading, and aerial float32 [3, A, A].
-
-        Raises
-        ------
-        ImageError
-            If an image cannot be used.
-        """
+    def _load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         panorama_file, aerial_file = self._files[index]
         panorama = read_image(panorama_file)
         check_shape(panorama, panorama_file, 2.0, "a panorama")

@@ -58,6 +58,12 @@ class Symmetry:
             p, q = q, p
         return (-p if self.flip_u else p), (-q if self.flip_v else q)
 
+    def pose(self, pose: Array) -> Array:
+        """Image of a pose: float64 [3] of u, v, heading_deg, the heading in [0, 360)."""
+        p, q = self.places(pose[0] - 0.5, pose[1] - 0.5)
+        sign, quarters = self.turn
+        return np.array([p + 0.5, q + 0.5, (sign * pose[2] + 90.0 * quarters) % 360.0])
+
     def slices(self, left: Any, right: Any, quarter: Any) -> tuple[Any, Any]:
         """Images of slices' edge azimuths, in any unit of which ``quarter`` make 90 degrees.
 

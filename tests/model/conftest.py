@@ -55,6 +55,12 @@ def make_kitti_tree():
 
 
 @pytest.fixture
+def true_colours(monkeypatch):
+    """Augmentation that turns and mirrors, but leaves the colours alone."""
+    monkeypatch.setattr("model.data.samples.recolour", lambda ground, aerial, _: (ground, aerial))
+
+
+@pytest.fixture
 def sample_view():
     """The function that samples a ground image from a tile (see `look_around`)."""
     return look_around

@@ -7,13 +7,16 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 from PIL import Image
 
+import cli
 from model.config import TrainConfig
 from model.data.errors import ImageError
 from model.errors import ConfigError, RunError
 from model.evaluation import evaluate
 from model.localizer import Estimate, Localizer, Mode
+from model.refinement import DEFAULT
 from model.scoring import score_masks
 from model.training import train
 from slicemask import Frustum, PoseGrid, build_bank, slice_masks
@@ -310,6 +313,17 @@ def test_a_refined_evaluation_is_what_localising_gives(run, cache, vigor):
         assert sample["near"] == (close and sample["error_heading_deg"] <= 1.5 * 45)
 
 
+def test_an_evaluation_of_some_samples_takes_them_from_all_over(run, cache):
+    whole, _ = evaluate(run, cache=cache, device="cpu", overwrite=True, refine="none")
+    some, folder = evaluate(run, limit=3, cache=cache, device="cpu", refine="none")
+    assert folder.name == "same-area_test_4x5x8_best_3"
+    assert some.names == whole.names[::2]
+    np.testing.assert_array_equal(some.estimates, whole.estimates[::2])
+    assert len(evaluate(run, limit=99, cache=cache, device="cpu")[0].names) == 5
+    with pytest.raises(ConfigError, match="limit is 0; it must be at least 1"):
+        evaluate(run, limit=0, cache=cache, device="cpu")
+
+
 def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
     root = shutil.copytree(vigor.root, tmp_path / "vigor")
     broken = sorted((root / "Chicago" / "satellite").iterdir())[2]
@@ -321,3 +335,67 @@ def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
     assert "1 samples could not be read" in evaluation.report()
     (fault,) = json.loads((folder / "result.json").read_text())["bad_samples"].values()
     assert str(broken) in fault
+
+
+@pytest.fixture
+def slicemask(run, cache):
+    """Run a command on the run's banks; give its result."""
+
+    def invoke(command, *arguments):
+        arguments = [command, str(run), "--cache", str(cache), "--device", "cpu", *arguments]
+        return CliRunner().invoke(cli.main, [str(argument) for argument in arguments])
+
+    return invoke
+
+
+def test_predict_writes_geojson_and_says_how_sure_it_is(slicemask, images, localizer, tmp_path):
+    pair = ["--ground", images[0], "--aerial", images[1]]
+    place = ["--centre", "41.8,-87.6", "--metres-per-pixel", "0.9"]
+    out = tmp_path / "pose.geojson"
+    options = [*pair, *place, "--refine", "continuous", "--geojson", out]
+    content = json.loads(slicemask("predict", *options, "--json").stdout)
+    expected = localizer.localize(*images, refine="continuous", metres_per_pixel=0.9)
+    assert content == {
+        **expected.as_dict(0.9, (41.8, -87.6)), "refine": "continuous", "geojson": str(out),
+    }  # fmt: skip
+    point, area = json.loads(out.read_text())["features"]
+    assert point["geometry"]["coordinates"] == [content["longitude"], content["latitude"]]
+    assert area["geometry"]["type"] == "Polygon"
+
+    text = slicemask("predict", *options).stdout
+    assert f"latitude {content['latitude']:.7f}" in text
+    assert f"probability {content['probability']:.1%} (uncalibrated), standard dev" in text
+    assert str(out) in text.splitlines()
+    assert "of the tile east" in slicemask("predict", *pair, "--refine", "none").stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--geojson", "{0}/a.geojson"], "--geojson needs --centre and --metres-per-pixel"),
+        (["--centre", "1,2"], "--centre needs --metres-per-pixel"),
+        (["--centre", "95,2", "--metres-per-pixel", "1"], "the tile's centre is 95,2"),
+        (["--centre", "5,2", "--metres-per-pixel", "0"], "metres per pixel is 0.0"),
+        (["--centre", "5", "--metres-per-pixel", "1"], "'5' is not lat,lon"),
+        (["--refine", "finest"], "'finest' is not one of"),
+    ],
+)
+def test_predict_says_what_it_lacks(slicemask, images, tmp_path, options, said):
+    options = [option.format(tmp_path) for option in options]
+    result = slicemask("predict", "--ground", images[0], "--aerial", images[1], *options)
+    assert result.exit_code != 0
+    assert said in result.stderr
+    assert "Traceback" not in result.output
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["predict", "evaluate"])
+def test_the_commands_default_is_the_librarys(command):
+    text = " ".join(CliRunner().invoke(cli.main, [command, "--help"]).stdout.split())
+    assert f"then gradients. [default: {DEFAULT}]" in text
+
+
+def test_calibrating_a_run_without_a_validation_part(slicemask, run):
+    result = CliRunner().invoke(cli.main, ["calibrate", str(run)])
+    assert result.exit_code == 1
+    assert "was trained with validation_fraction 0" in result.stderr

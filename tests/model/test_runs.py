@@ -124,18 +124,19 @@ class Killed(BaseException):
 
 
 @pytest.mark.parametrize(
-    ("workers", "epoch", "settings"),
+    ("epoch", "changes"),
     [
-        (0, 0, {}),
-        (0, 2, {}),
-        (1, 2, {}),
-        (0, 2, {"grid_jitter": True, "near_negatives": 2}),
+        (0, {"workers": 0}),
+        (2, {"workers": 0}),
+        (2, {"workers": 1}),
+        (2, {"schedule": "one-cycle", "augment": True}),
+        (2, {"grid_jitter": True, "near_negatives": 2}),
     ],
 )
 def test_a_killed_run_resumes_with_the_same_losses(
-    config, tmp_path, cache, monkeypatch, workers, epoch, settings
+    config, tmp_path, cache, monkeypatch, epoch, changes
 ):
-    config = replace(config, workers=workers, **settings)
+    config = replace(config, **changes)
     whole = train(config, tmp_path / "whole", cache=cache, progress=False)
 
     # The kill comes in the middle of an epoch.
@@ -169,6 +170,16 @@ def test_a_finished_run_trains_on_for_more_epochs(config, tmp_path, cache):
     more = replace(config, epochs=3)
     run = train(more, tmp_path / "run", resume=True, cache=cache, progress=False)
     assert metrics(run) == metrics(whole)
+
+
+def test_one_cycle_goes_up_and_then_down_to_almost_nothing(config, tmp_path, cache):
+    config = replace(config, schedule="one-cycle")
+    run = train(config, tmp_path / "run", cache=cache, progress=False)
+    (state,) = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["lr_schedulers"]
+    assert state["total_steps"] == state["last_epoch"] == 12
+    assert state["_last_lr"][0] < 0.03 * config.learning_rate
+    with pytest.raises(RunError, match="was trained with epochs 4, and 5 is asked for"):
+        train(replace(config, epochs=5), run, resume=True, cache=cache, progress=False)
 
 
 def test_losses_differ_from_seed_to_seed(config, tmp_path, cache):

@@ -123,12 +123,13 @@ def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, turn_
     assert find_spot(at_ahead) == pytest.approx(expected, abs=tolerance)
 
 
+@pytest.mark.parametrize("augment", [False, True])
 @pytest.mark.parametrize("part", ["train", "test"])
 def test_the_ground_image_is_what_the_crop_shows_from_the_pose(
-    make_kitti_tree, tmp_path, sample_view, part
+    make_kitti_tree, tmp_path, sample_view, true_colours, part, augment
 ):
     tree = make_kitti_tree(tmp_path, pairs=3)
-    dataset = open_kitti(tmp_path, part, aerial_size=512, ground_size=(64, 128))
+    dataset = open_kitti(tmp_path, part, aerial_size=512, ground_size=(64, 128), augment=augment)
     across = 2 * (np.arange(128) + 0.5) / 128 - 1
     half = np.tan(np.radians(dataset.hfov_deg / 2))
     azimuth_deg = np.degrees(np.arctan(across * half))

@@ -221,12 +221,15 @@ def test_labels_outside_a_candidate_extent_are_counted(make_vigor_tree, tmp_path
         assert dataset.count_outside((0, 0, 1, 1)) == 0
 
 
+@pytest.mark.parametrize("augment", [False, True])
 def test_the_ground_image_is_what_the_tile_shows_from_the_pose(
-    make_vigor_tree, tmp_path, sample_view
+    make_vigor_tree, tmp_path, sample_view, true_colours, augment
 ):
     """The tree paints with north at the centre; the loader has turned it to the heading."""
     make_vigor_tree(tmp_path, pairs=4)
-    dataset = open_vigor(tmp_path, cities=("Chicago",), aerial_size=320, ground_size=(64, 128))
+    dataset = open_vigor(
+        tmp_path, cities=("Chicago",), aerial_size=320, ground_size=(64, 128), augment=augment
+    )
     azimuth_deg = 360 * ((np.arange(128) + 0.5) / 128 - 0.5)
     ranges = 0.5 * (1 - (np.arange(64) + 0.5) / 64)
     for index in range(4):
@@ -242,6 +245,31 @@ def test_the_ground_image_is_what_the_tile_shows_from_the_pose(
         best = turns[np.argmin([mismatch(heading_deg + turn) for turn in turns])]
         assert abs(best) <= 1
         assert mismatch(heading_deg) < 8 < mismatch(-heading_deg)
+
+
+def test_augmenting_shows_all_eight_symmetries_and_keeps_a_known_heading(
+    make_vigor_tree, tmp_path, true_colours
+):
+    make_vigor_tree(tmp_path, pairs=1)
+    plain, augmented, again, aligned = (
+        open_vigor(tmp_path, cities=("Chicago",), augment=augment, heading_prior_deg=prior)
+        for augment, prior in ((False, None), (True, None), (True, None), (True, 0))
+    )
+    images, places, known = set(), set(), set()
+    for epoch in range(60):
+        for dataset in (plain, augmented, again, aligned):
+            dataset.set_epoch(epoch)
+        assert np.array_equal(augmented.pose(0), again.pose(0))
+        images.add(augmented[0]["aerial"].numpy().tobytes())
+        places.add(tuple(augmented.pose(0)[:2].round(9)))
+        u, v, heading_deg = aligned.pose(0)
+        assert heading_deg == 0
+        known.add((round(u, 9), round(v, 9)))
+    assert len(images) == len(places) == 8
+    u, v, _ = plain.pose(0)
+    assert known == {(round(u, 9), round(v, 9)), (round(1 - u, 9), round(v, 9))}
+    test = open_vigor(tmp_path, "test", cities=("Chicago",), augment=True)
+    assert np.array_equal(test.pose(0)[:2], plain.pose(0)[:2])
 
 
 def test_unknown_headings_are_drawn_anew_each_epoch_and_reproducibly(make_vigor_tree, tmp_path):
