@@ -470,9 +470,9 @@ _run_options = (
 
 _refine = click.option(
     "--refine",
-    type=click.Choice(["none", "fine", "continuous"]),
-    help="The best candidate, coarse to fine around the best ones, or that and then gradients.  "
-    "[default: fine]",
+    type=click.Choice(["none", "mean", "fine", "continuous"]),
+    help="The best candidate, the mean of those around it, coarse to fine around the best ones, "
+    "or that and then gradients.  [default: fine]",
 )
 
 

@@ -180,7 +180,7 @@ def evaluate(
         Processes that load images; the run's own number by default.
     cache : path, optional
         The folder of banks.
-    refine : {"none", "fine", "continuous"}
+    refine : {"none", "mean", "fine", "continuous"}
         How estimates are refined (`model.refinement`).
     progress : callable, optional
         Called with (samples done, samples in all).

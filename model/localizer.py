@@ -31,7 +31,7 @@ from model.refinement import (
 from model.runs import Checkpoint, RunFolder, choose_device
 from model.scoring import Candidates, score_candidates
 from model.slicematch import SliceMatch
-from model.uncertainty import covariance, mode_probabilities, probabilities
+from model.uncertainty import covariance, mean_poses, mode_probabilities, probabilities
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
 Picture = str | Path | Image.Image | NDArray[np.uint8]
@@ -239,7 +239,7 @@ class Localizer:
         The run's settings.
     device : torch.device
         Where model and candidates are.
-    refine : {"none", "fine", "continuous"}
+    refine : {"none", "mean", "fine", "continuous"}
         How estimates are refined (`model.refinement`), unless `localize` is told otherwise.
     temperature : float, optional
         That makes scores probabilities; the loss's tau by default.
@@ -294,9 +294,10 @@ class Localizer:
             "auto", "cpu", "cuda", ...
         cache : path, optional
             The folder of banks, as for `slicemask.build_bank`.
-        refine : {"none", "fine", "continuous"}
-            How estimates are refined: not at all, the best candidate is the answer; coarse to
-            fine; or that and then by gradients (`model.refinement`).
+        refine : {"none", "mean", "fine", "continuous"}
+            How estimates are refined: not at all, the best candidate is the answer; the mean of
+            the candidates around it, by their probabilities; coarse to fine; or that and then by
+            gradients (`model.refinement`, `model.uncertainty.mean_poses`).
 
         Raises
         ------
@@ -372,7 +373,7 @@ class Localizer:
             run was trained with, if any; (0, 180) allows every heading.
         place_prior : (u, v, radius), optional
             Only places within the radius of (u, v), in the aerial frame. By default the run's.
-        refine : {"none", "fine", "continuous"}, optional
+        refine : {"none", "mean", "fine", "continuous"}, optional
             The localizer's own by default.
         metres_per_pixel : float, optional
             Of the tile as it is handed in; the finest step is then in metres.
@@ -437,12 +438,16 @@ class Localizer:
         for b in range(len(scores)):
             similarity = Similarity(ground[b], aerial[b], attention[b], self.frustum)
             poses, values = find_modes(scores[b], self.grid)
-            if refine != "none":
+            likely = probabilities(scores[b], self.temperature)
+            if refine == "mean":
+                # A mean lies in the domain but for rounding.
+                means = domain.project(torch.from_numpy(mean_poses(poses, likely, self.grid)))
+                with torch.no_grad():
+                    poses, values = means.numpy(), similarity(means).double().cpu().numpy()
+            elif refine != "none":
                 metres = None if tile_metres is None else float(tile_metres[b])
                 poses, values = refine_modes(similarity, poses, self.grid, domain, refine, metres)
-            shares = mode_probabilities(
-                poses, probabilities(scores[b], self.temperature), self.grid
-            )
+            shares = mode_probabilities(poses, likely, self.grid)
             modes = map(Mode, poses, values.tolist(), shares.tolist())
             estimates.append(
                 Estimate(tuple(modes), scores[b], self.grid, int(tile_pixels[b]), self.temperature)

@@ -21,7 +21,7 @@ from model.aggregation import unit
 from model.errors import ConfigError
 from slicemask import Frustum, PoseGrid, slice_masks
 
-Refine = Literal["none", "fine", "continuous"]
+Refine = Literal["none", "mean", "fine", "continuous"]
 # What `Localizer`, evaluate and predict do unless they are told otherwise.
 DEFAULT: Refine = "fine"
 

@@ -16,7 +16,7 @@ from model.data.errors import ImageError
 from model.errors import ConfigError, RunError
 from model.evaluation import evaluate
 from model.localizer import Estimate, Localizer, Mode
-from model.refinement import DEFAULT
+from model.refinement import DEFAULT, near
 from model.scoring import score_masks
 from model.training import train
 from slicemask import Frustum, PoseGrid, build_bank, slice_masks
@@ -182,7 +182,7 @@ def test_a_refined_estimate_scores_no_less(localizer, images, refine):
     )
 
 
-@pytest.mark.parametrize("refine", ["fine", "continuous"])
+@pytest.mark.parametrize("refine", ["mean", "fine", "continuous"])
 def test_a_refined_estimate_keeps_to_the_priors(localizer, images, refine):
     for mode in localizer.localize(*images, (0, 20), (0.1, 0.125, 0.05), refine=refine).modes:
         assert abs((mode.pose[2] + 180) % 360 - 180) <= 20 + 1e-9
@@ -190,6 +190,22 @@ def test_a_refined_estimate_keeps_to_the_priors(localizer, images, refine):
     aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine=refine)
     assert {mode.pose[2] for mode in aligned.modes} == {45.0}
     assert len({mode.pose[0] for mode in aligned.modes}) > 1
+
+
+def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localizer, images):
+    grid = localizer.localize(*images, refine="none")
+    mean = localizer.localize(*images, refine="mean")
+    poses = grid.grid.poses()
+    some = near(grid.pose, poses, grid.grid)
+    weights = grid.probabilities.ravel()[some]
+    expected = weights @ poses[some, :2] / weights.sum()
+    np.testing.assert_allclose(mean.pose[:2], expected, atol=1e-12)
+    turns = (poses[some, 2] - grid.pose[2] + 180) % 360 - 180
+    turn = weights @ turns / weights.sum()
+    assert mean.pose[2] == pytest.approx((grid.pose[2] + turn) % 360)
+    assert len(mean.modes) == len(grid.modes)
+    aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine="mean")
+    assert {mode.pose[2] for mode in aligned.modes} == {45.0}
 
 
 def test_probabilities_sum_to_one_and_modes_share_them(localizer, images):
@@ -223,7 +239,7 @@ def test_a_spoilt_calibration_is_refused(run, cache, tmp_path, content):
 
 
 def test_a_refinement_of_another_name_is_refused(localizer, run, cache, images):
-    with pytest.raises(ConfigError, match="refine is 'coarse'; it must be one of none, fine"):
+    with pytest.raises(ConfigError, match="refine is 'coarse'; it must be one of none, mean, fine"):
         localizer.localize(*images, refine="coarse")
     with pytest.raises(ConfigError, match="refine is 'coarse'"):
         Localizer.load(run, cache=cache, device="cpu", refine="coarse")

@@ -259,7 +259,7 @@ def test_steps_of_grids():
 
 def test_names_of_refinements():
     assert check_refine(DEFAULT) == DEFAULT
-    with pytest.raises(ConfigError, match="one of none, fine, continuous"):
+    with pytest.raises(ConfigError, match="one of none, mean, fine, continuous"):
         check_refine("finest")
 
 

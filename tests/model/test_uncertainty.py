@@ -13,6 +13,7 @@ from model.uncertainty import (
     ellipse,
     fit_temperature,
     mean_nll,
+    mean_poses,
     mode_probabilities,
     probabilities,
     region,
@@ -42,6 +43,18 @@ def test_the_covariance_of_a_normal_distribution_is_found(pose):
     expected = spread + np.diag([1 / 41, 1 / 41, 5.0]) ** 2 / 12
     np.testing.assert_allclose(found[:2, :2], expected[:2, :2], rtol=0.03, atol=1e-5)
     np.testing.assert_allclose(found[2], expected[2], rtol=0.03)
+
+
+@pytest.mark.parametrize("pose", [[0.5, 0.5, 180.0], [0.521, 0.468, 1.1], [0.5, 0.513, 358.9]])
+def test_the_mean_of_a_normal_distribution_is_found_between_candidates(pose):
+    shares = probabilities(gaussian(pose, np.diag([4e-4, 4e-4, 36.0])), 1.0).reshape(GRID.shape)
+    mode = GRID.poses()[shares.argmax()]
+    ((u, v, heading),) = mean_poses(mode[None], shares, GRID)
+    assert (u, v) == pytest.approx(pose[:2], abs=1e-4)
+    assert (heading - pose[2] + 180) % 360 - 180 == pytest.approx(0, abs=0.02)
+    # Where nothing is likely, a mode stays.
+    other = GRID.poses()[:1]
+    np.testing.assert_array_equal(mean_poses(other, np.zeros(GRID.shape), GRID), other)
 
 
 def test_what_is_known_has_no_spread():
