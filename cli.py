@@ -106,7 +106,7 @@ _cache = click.option(
 
 
 def _frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --hfov, --slices, --cells and --projection."""
+    """Add --hfov, --slices and --projection."""
     for option in reversed(
         (
             click.option(
@@ -121,9 +121,6 @@ def _frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 "--slices", type=int, default=16, show_default=True, help="Slices N of the HFoV."
             ),
             click.option(
-                "--cells", type=int, default=32, show_default=True, help="Cells L along each side."
-            ),
-            click.option(
                 "--projection",
                 type=click.Choice(["equirectangular", "pinhole"]),
                 default="equirectangular",
@@ -134,6 +131,11 @@ def _frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
     ):
         command = option(command)
     return command
+
+
+_cells = click.option(
+    "--cells", type=int, default=32, show_default=True, help="Cells L along each side."
+)
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
@@ -163,6 +165,7 @@ def main() -> None:
     help="Where the grid's places lie in the extent.",
 )
 @_frustum_options
+@_cells
 @click.option(
     "--engine",
     type=click.Choice(["shapely", "rays"]),
@@ -309,6 +312,7 @@ def verify(
     "--at", type=_Numbers("u,v,heading_deg"), help="Any pose, computed now; needs no bank."
 )
 @_frustum_options
+@_cells
 @click.option("--aerial", metavar="IMAGE", help="Aerial tile to draw on.")
 @click.option("--out", metavar="FILE", help="PNG, SVG or PDF (GIF with --animate), by its suffix.")
 @click.option(
@@ -665,6 +669,61 @@ def _certainty(estimate: Any, metres_per_pixel: float | None, calibrated: bool) 
         + f", standard deviations {east:.2g} {unit} east, {north:.2g} {unit} north, "
         f"{heading:.1f} degrees" + (f"; other modes {others}" if others else "")
     )
+
+
+@main.command()
+@click.argument("run", required=False)
+@click.option("--grid", metavar="RxCxH", help="Candidates.  [default: 21x21x64, or the run's]")
+@_frustum_options
+@click.option("--encoder", default="vgg16", show_default=True, help="timm backbone.")
+@click.option("--weights", default="none", show_default=True, help="imagenet, none or a file.")
+@click.option("--stride", type=int, default=16, show_default=True, help="Of the feature maps.")
+@click.option(
+    "--ground-size",
+    type=_Numbers("height,width", int),
+    default="320,640",
+    show_default=True,
+    help="Pixels.",
+)
+@click.option(
+    "--aerial-size", type=int, default=512, show_default=True, help="Pixels along each side."
+)
+@click.option("--batch-size", type=int, default=1, show_default=True, help="Pairs at once.")
+@click.option(
+    "--runs", type=int, default=5, show_default=True, help="Repetitions; their median counts."
+)
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ...")
+@_cache
+@_as_json
+@click.pass_context
+def benchmark(
+    ctx: click.Context,
+    run: str | None,
+    grid: str | None,
+    device: str,
+    cache: str | None,
+    batch_size: int,
+    runs: int,
+    as_json: bool,
+    **settings: Any,
+) -> None:
+    """Time encoding, aggregation and scoring: of a trained RUN, or of the settings given."""
+    _check_model_installed()
+    from model.benchmark import time_run, time_settings
+
+    shared = {"device": device, "cache": cache, "batch_size": batch_size, "runs": runs}
+    if run is not None:
+        for name in settings:
+            if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+                raise click.UsageError(f"--{name.replace('_', '-')} cannot be changed in a run.")
+        timings = time_run(run, grid=grid, **shared)
+    else:
+        settings["hfov_deg"] = settings.pop("hfov")
+        with _progress("building", "poses") as progress:
+            timings = time_settings(
+                grid=grid or "21x21x64", **settings, **shared, progress=progress
+            )
+    _print(as_json, timings.as_dict(), timings.report())
 
 
 class _Size(click.ParamType):

@@ -30,7 +30,7 @@ def plain_loop_seconds(count: int, cells: int = 32) -> float:
 
 
 def exactextract_masks(count: int, cells: int = 32) -> tuple[float, np.ndarray]:
-    """Seconds a mask of exactextract's coverage fractions, and the masks [count, L, L]."""
+    """Processor seconds a mask of exactextract's coverage, and the masks [count, L, L]."""
     raster = NumPyRasterSource(np.zeros((cells, cells)), xmin=0, ymin=0, xmax=1, ymax=1)
     tile = shapely.box(0, 0, 1, 1)
     polygons = shapely.intersection(sector_polygons(*random_slices(count)), tile)
@@ -45,9 +45,9 @@ def exactextract_masks(count: int, cells: int = 32) -> tuple[float, np.ndarray]:
         }
         for polygon in polygons
     ]
-    start = time.perf_counter()
+    start = time.process_time()
     found = exact_extract(raster, features, ["cell_id", "coverage"])
-    seconds = (time.perf_counter() - start) / count
+    seconds = (time.process_time() - start) / count
     masks = np.zeros((count, cells * cells))
     for mask, feature in zip(masks, found, strict=True):
         mask[feature["properties"]["cell_id"]] = feature["properties"]["coverage"]

@@ -1,6 +1,12 @@
-"""Timing commands and functions: medians of several runs, on machines that are never quiet."""
+"""Timing commands and functions, on machines that are never quiet.
 
+What is to be compared runs in turn, A B A B, so that both sides meet the same disturbances;
+figures are medians, and ratios medians of the pairs' ratios.
+"""
+
+import os
 import re
+import select
 import statistics
 import subprocess
 import sys
@@ -9,32 +15,61 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+# What the installed `slicemask` script runs; modules are found compiled, as they are for it.
+_SCRIPT = "from cli import main; main()"
+_ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+
 
 @dataclass(frozen=True)
 class CommandCost:
-    """Median wall seconds of a command, and the largest peak memory of its runs, in MiB."""
+    """A command's runs: wall seconds, processor seconds, and the largest peak memory, in MiB."""
 
-    seconds: float
+    runs: tuple[float, ...]
+    processor: tuple[float, ...]
     peak_mib: float
+
+    @property
+    def seconds(self) -> float:
+        """The median wall seconds."""
+        return statistics.median(self.runs)
+
+    def __str__(self) -> str:
+        work = statistics.median(self.processor)
+        return f"{self.seconds:.2f} s ({work:.2f} s of processor time)"
 
 
 def slicemask_command(*arguments: str, runs: int = 5) -> CommandCost:
     """Cost of a whole ``slicemask`` command, the interpreter's start included."""
-    seconds, peaks = [], []
-    for _ in range(runs):
-        start = time.perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "cli", *arguments], stdout=subprocess.DEVNULL
-        )
-        peak = 0.0
-        while process.poll() is None:
-            peak = max(peak, _peak_mib(process.pid))
-            time.sleep(0.01)
-        seconds.append(time.perf_counter() - start)
-        if process.returncode:
-            raise SystemExit(f"slicemask {' '.join(arguments)} failed")
-        peaks.append(peak)
-    return CommandCost(statistics.median(seconds), max(peaks))
+    return slicemask_commands(arguments, runs=runs)[0]
+
+
+def slicemask_commands(*commands: tuple[str, ...], runs: int) -> list[CommandCost]:
+    """Costs of whole ``slicemask`` commands, run in turn."""
+    rounds = [[_run(command) for command in commands] for _ in range(runs)]
+    costs = []
+    for of_command in zip(*rounds, strict=True):
+        seconds, processor, peaks = zip(*of_command, strict=True)
+        costs.append(CommandCost(seconds, processor, max(peaks)))
+    return costs
+
+
+def _run(arguments: tuple[str, ...]) -> tuple[float, float, float]:
+    """Wall seconds, processor seconds and peak memory (MiB) of one run."""
+    peak = 0.0
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, "-c", _SCRIPT, *arguments], stdout=subprocess.DEVNULL, env=_ENVIRONMENT
+    )
+    ended = os.pidfd_open(process.pid)
+    while not select.select([ended], [], [], 0.01)[0]:
+        peak = max(peak, _peak_mib(process.pid))
+    seconds = time.perf_counter() - start
+    os.close(ended)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"slicemask {' '.join(arguments)} failed")
+    return seconds, used.ru_utime + used.ru_stime, peak
 
 
 def _peak_mib(process: int) -> float:
@@ -44,12 +79,25 @@ def _peak_mib(process: int) -> float:
     return int(found[1]) / 1024 if found else 0.0
 
 
-def median_seconds(work: Callable[[], object], runs: int = 7) -> float:
+def in_turn(*works: Callable[[], float], runs: int) -> list[list[float]]:
+    """Seconds that each of the works says it took, in turn, after one round that is not counted."""
+    rounds = [[work() for work in works] for _ in range(runs + 1)]
+    return [list(seconds) for seconds in zip(*rounds[1:], strict=True)]
+
+
+def times(slow: list[float] | tuple[float, ...], fast: list[float] | tuple[float, ...]) -> float:
+    """How many times faster: the median of the ratios of runs in turn."""
+    return statistics.median(s / f for s, f in zip(slow, fast, strict=True))
+
+
+def median_seconds(
+    work: Callable[[], object], runs: int = 7, clock: Callable[[], float] = time.perf_counter
+) -> float:
     """Median seconds of a call, after one that is not counted."""
-    work()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
+
+    def seconds() -> float:
+        start = clock()
         work()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
+        return clock() - start
+
+    return statistics.median(in_turn(seconds, runs=runs)[0])

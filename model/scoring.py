@@ -6,20 +6,23 @@ Only the cosine of the global descriptors is wanted,
 
 and the slice descriptors d_a^{k,n} are unit vectors or, where a slice is empty, zero. So a
 slice's share in c_k is two scalars: its dot product with d_g^n, and whether it is there at all.
-They depend on the slice's mask and number alone; a bank holds each distinct mask once, and each
-is pooled once for every slice number that uses it, a block of masks at a time.
+They depend on the slice's mask and number alone, and a bank holds each distinct mask once:
+`model.pooling` computes them for all that are used, and here they are summed for each pose.
 """
 
 import math
 import warnings
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
 
 from model.aggregation import aerial_descriptors, unit
 from model.errors import ConfigError
+from model.pooling import PoolingPlan, plan_pooling, pool_shares, take_rows
 from slicemask import Bank
 
 
@@ -129,21 +132,21 @@ class Candidates:
 
     def rows(self, chosen: Tensor) -> Tensor:
         """Masks of the chosen numbers [R], as a sparse CSR tensor [R, L * L]."""
-        starts, cells, fractions = self.masks
-        lengths = starts[chosen + 1] - starts[chosen]
-        stops = torch.cumsum(lengths, 0, dtype=starts.dtype)
-        new_starts = torch.cat([stops.new_zeros(1), stops])
-        shift = torch.repeat_interleave(starts[chosen] - new_starts[:-1], lengths)
-        taken = torch.arange(len(shift), device=shift.device) + shift
+        starts, cells, fractions = take_rows(self.masks, chosen)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
             return torch.sparse_csr_tensor(
-                new_starts,
-                cells[taken],
-                fractions[taken],
+                starts,
+                cells,
+                fractions,
                 size=(len(chosen), self.cells**2),
                 check_invariants=False,  # the bank's reader has checked the rows
             )
+
+    @cached_property
+    def pooling(self) -> PoolingPlan:
+        """How these candidates' masks are pooled; found at first use and kept."""
+        return plan_pooling(self.index, self.masks)
 
 
 def score_candidates(
@@ -151,13 +154,13 @@ def score_candidates(
     features: Tensor,
     attention: Tensor,
     candidates: Candidates,
-    masks_at_once: int = 2048,
+    values_at_once: int | None = None,
 ) -> Tensor:
     """Cosine c_k of the ground descriptor with every candidate's aerial descriptor.
 
     Equal to the dense product of eq. 4 and the cosine (SliceMatch, CVPR 2023, section 3), but
-    nothing of size K x N x C is ever held. Computed in float32 at least; differentiable in all
-    three tensors.
+    nothing of size K x N x C is ever held, not even for the gradients in the three tensors.
+    Computed in float32 at least.
 
     Parameters
     ----------
@@ -169,8 +172,9 @@ def score_candidates(
         M_a^n.
     candidates : Candidates
         K poses, the same for the whole batch, on the tensors' device.
-    masks_at_once : int
-        Masks pooled in one block: it bounds the memory, at B * C * masks_at_once values.
+    values_at_once : int, optional
+        Values that are pooled in one block, which bounds the memory; by default, as many as suit
+        the device.
 
     Returns
     -------
@@ -185,16 +189,19 @@ def score_candidates(
         )
     with torch.autocast(features.device.type, enabled=False):
         dtype = torch.promote_types(features.dtype, torch.float32)
-        ground, attention = ground.to(dtype), attention.to(dtype).flatten(2)
-        features = features.to(dtype).flatten(2)  # [B, C, L * L]
-        dots = features.new_zeros(len(features), len(candidates.index))
-        there = torch.zeros_like(dots)
-        for n in range(slices):
-            attended = features * attention[:, n, None]  # z'_a^n
-            numbers, at = torch.unique(candidates.index[:, n], return_inverse=True)
-            dot, some = _compare(attended, ground[:, n], candidates, numbers, masks_at_once)
-            dots = dots + dot[:, at]
-            there += some[:, at]
+        ground = ground.to(dtype)
+        features = features.to(dtype).flatten(2).mT.contiguous()  # [B, L * L, C]
+        attention = attention.to(dtype).flatten(2).mT.contiguous()  # [B, L * L, N]
+        plan, masks = candidates.pooling, candidates.masks
+        sums = torch.stack(
+            [
+                F.embedding_bag(
+                    plan.slot, pool_shares(plan, masks, *pair, values_at_once), mode="sum"
+                )
+                for pair in zip(ground, features, attention, strict=True)
+            ]
+        )  # [B, K, 2]
+        dots, there = sums.unbind(dim=-1)
         lengths = there.sqrt() * ground.square().sum(dim=(1, 2)).sqrt()[:, None]
         return dots / torch.where(lengths > 0, lengths, 1.0)
 
@@ -222,21 +229,6 @@ def score_masks(ground: Tensor, features: Tensor, attention: Tensor, masks: Tens
         return torch.einsum(
             "bi,bki->bk", unit(ground.to(dtype).flatten(1)), unit(aerial.flatten(2))
         )
-
-
-def _compare(
-    attended: Tensor, ground: Tensor, candidates: Candidates, numbers: Tensor, masks_at_once: int
-) -> tuple[Tensor, Tensor]:
-    """Pool z'_a [B, C, L * L] by masks [R]; dot with d_g [B, C], and is there any: [B, R] each."""
-    batch, channels = ground.shape
-    columns = attended.permute(2, 0, 1).reshape(-1, batch * channels)
-    dots, there = [], []
-    for some in numbers.split(masks_at_once):
-        masks = candidates.rows(some).to(columns.dtype)
-        descriptors = unit((masks @ columns).unflatten(1, (batch, channels)))  # [R, B, C]
-        dots.append(torch.einsum("rbc,bc->br", descriptors, ground))
-        there.append((descriptors.detach() != 0).any(dim=-1).T)
-    return torch.cat(dots, dim=1), torch.cat(there, dim=1)
 
 
 def heat_map(scores: Tensor) -> Tensor:

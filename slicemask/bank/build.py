@@ -4,7 +4,9 @@ import contextlib
 import functools
 import os
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -164,6 +166,7 @@ def _versions(engine: Engine) -> dict[str, str]:
         "numpy": np.__version__,
         "h5py": h5py.__version__,
         "hdf5": h5py.version.hdf5_version,
+        "zlib": zlib.ZLIB_RUNTIME_VERSION,
     }
     if engine == "shapely":
         import shapely
@@ -202,12 +205,16 @@ def _build(
 ) -> int:
     """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
+    pool = ThreadPoolExecutor(jobs)
     with (
-        BankWriter(path, spec) as writer,
+        BankWriter(path, spec, pool) as writer,
         # The index is filled in batch by batch, out of order. A nameless file holds it: it is
         # gone with the process, and the system can page it out.
         tempfile.TemporaryFile(dir=path.parent) as scratch,
+        contextlib.ExitStack() as after,
     ):
+        # After an error, what no thread has begun is dropped.
+        after.callback(pool.shutdown, cancel_futures=True)
         # Written, not truncated, to its size: a full disk is an error here, and would be a crash
         # at some later store into a mapped hole.
         size = total * slices * 4
@@ -216,13 +223,14 @@ def _build(
         scratch.flush()
         index = np.memmap(scratch, dtype=np.int32, mode="r+", shape=(total, slices))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
-        with contextlib.closing(in_order(compute, _pieces(source, spec, index), jobs)) as computed:
+        pieces = _pieces(source, spec, index)
+        if progress:
+            progress(0, total)
+        # Enough waits for every thread to find work while the oldest results are written.
+        for share, rows in in_order(compute, pieces, pool, 2 * jobs + 8):
+            writer.add_rows(rows.counts, rows.indices, rows.data)
             if progress:
-                progress(0, total)
-            for share, rows in computed:
-                writer.add_rows(rows.counts, rows.indices, rows.data)
-                if progress:
-                    progress(round(share * total), total)
+                progress(round(share * total), total)
         writer.finish(index, source.pieces())
     return writer.rows
 

@@ -1,7 +1,7 @@
 """From distinct slices to CSR rows, in pieces that threads compute and a file takes in order."""
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
@@ -91,9 +91,9 @@ def _image_rows(
     """Rows of images of sectors' masks [R, L, L]."""
     values = sectors[0].size
     dense = np.empty((len(sector), *sectors.shape[1:]), dtype=np.float32)
-    for number in np.unique(symmetry):
+    for number, image in enumerate(SYMMETRIES):
         some = np.flatnonzero(symmetry == number)
-        moved = SYMMETRIES[number].masks(sectors[sector[some]])
+        moved = image.masks(sectors[sector[some]])
         dense[some] = np.ascontiguousarray(moved)  # twice as fast as from a strided view
     flat = dense.reshape(-1)
     at = np.flatnonzero(flat != 0.0)
@@ -104,24 +104,21 @@ def _image_rows(
 
 
 def in_order(
-    compute: Callable[[_Piece], _Result], pieces: Iterator[tuple[float, _Piece]], jobs: int
-) -> Generator[tuple[float, _Result], None, None]:
+    compute: Callable[[_Piece], _Result],
+    pieces: Iterator[tuple[float, _Piece]],
+    pool: ThreadPoolExecutor,
+    most_waiting: int,
+) -> Iterator[tuple[float, _Result]]:
     """Compute pieces on threads; yield results in order, with few waiting, beside what came along.
 
-    Closing the iterator drops the pieces that no thread has begun.
+    NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
     """
-    # NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
-    pool = ThreadPoolExecutor(jobs)
     waiting: deque[tuple[float, Future[_Result]]] = deque()
-    try:
-        for share, piece in pieces:
-            waiting.append((share, pool.submit(compute, piece)))
-            # Enough for every thread to find work while the oldest results are written.
-            if len(waiting) > 2 * jobs + 8:
-                share, result = waiting.popleft()
-                yield share, result.result()
-        while waiting:
+    for share, piece in pieces:
+        waiting.append((share, pool.submit(compute, piece)))
+        if len(waiting) > most_waiting:
             share, result = waiting.popleft()
             yield share, result.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+    while waiting:
+        share, result = waiting.popleft()
+        yield share, result.result()

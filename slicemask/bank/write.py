@@ -2,8 +2,9 @@
 
 import io
 import os
+from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -13,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from slicemask.bank.chunks import FILTERS, stored
 from slicemask.bank.seal import SEAL_BYTES, VERSION, write_seal
 from slicemask.bank.spec import BankSpec
 
@@ -20,11 +22,8 @@ FORMAT = "slicemask-bank"
 # The oldest file layout in which HDF5 checksums its own structures; any HDF5 from 1.10 reads it.
 _LAYOUT = ("v110", "v110")
 _CHUNK_VALUES = 1 << 15
-# Room for two chunks of each dataset: full ones are deflated at once, while other threads compute
-# masks, rather than all together when the file is closed.
-_CHUNK_CACHE_BYTES = 1 << 18
-# Level 1 deflates twice as fast as 4, for files that are 7 % larger.
-_FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
+# Chunks that may wait to be deflated or written.
+_MOST_WAITING = 32
 
 
 class _Sink(io.FileIO):
@@ -58,6 +57,16 @@ class _Sink(io.FileIO):
         return size or 0
 
 
+class _Column:
+    """A dataset that is written chunk by chunk, and its next chunk, zero where nothing is yet."""
+
+    def __init__(self, dataset: h5py.Dataset):
+        self.dataset = dataset
+        self.sent = 0  # values in earlier chunks
+        self.chunk: NDArray[Any] = np.zeros(dataset.chunks, dataset.dtype)
+        self.filled = 0
+
+
 class BankWriter:
     """A bank being written to ``<target's folder>/.<target's name>.partial``.
 
@@ -71,9 +80,11 @@ class BankWriter:
         Where the bank goes; a file already there is replaced.
     spec : BankSpec
         What it holds; ``versions`` included.
+    pool : ThreadPoolExecutor
+        The threads that deflate its chunks.
     """
 
-    def __init__(self, target: Path, spec: BankSpec):
+    def __init__(self, target: Path, spec: BankSpec, pool: ThreadPoolExecutor):
         self.target = target
         self.partial = target.with_name(f".{target.name}.partial")
         self.spec = spec
@@ -82,6 +93,12 @@ class BankWriter:
         self._sink: _Sink | None = None
         self._open = ExitStack()
         self._thread = ThreadPoolExecutor(1)
+        # The thread is there before any file is. Ctrl-C while one is being started leaves an
+        # executor that does not know it, and so would not wait for it before the file is removed.
+        self._thread.submit(int).result()
+        self._pool = pool
+        # Chunks on their way, in the order in which they go to the file.
+        self._waiting: deque[tuple[h5py.Dataset, int, int, Future[bytes]]] = deque()
 
     def __enter__(self) -> "BankWriter":
         try:
@@ -103,12 +120,7 @@ class BankWriter:
     def _begin(self) -> None:
         self._sink = self._open.enter_context(_Sink(self.partial))
         self._file = h5py.File(
-            self._sink,
-            "w",
-            userblock_size=SEAL_BYTES,
-            libver=_LAYOUT,
-            locking=False,
-            rdcc_nbytes=_CHUNK_CACHE_BYTES,
+            self._sink, "w", userblock_size=SEAL_BYTES, libver=_LAYOUT, locking=False
         )
         self._open.callback(self._file.close)
         # A bytes attribute, unlike a str, lies where HDF5 keeps a checksum.
@@ -118,17 +130,44 @@ class BankWriter:
         group = self._file.create_group("masks")
         group.attrs["encoding-type"] = "csr_matrix"
         group.attrs["encoding-version"] = "0.1.0"
-        self._data = self._dataset("masks/data", np.float32)
-        self._indices = self._dataset("masks/indices", np.int32)
-        self._indptr = self._dataset("masks/indptr", np.int64)
-        _append(self._indptr, np.zeros(1, dtype=np.int64))
+        self._data = self._column("masks/data", np.float32)
+        self._indices = self._column("masks/indices", np.int32)
+        self._indptr = self._column("masks/indptr", np.int64)
+        self._append(self._indptr, np.zeros(1, dtype=np.int64))
 
-    def _dataset(self, name: str, dtype: type, width: int | None = None) -> h5py.Dataset:
+    def _column(self, name: str, dtype: type, width: int | None = None) -> _Column:
         tail = () if width is None else (width,)
         chunk = (max(1, _CHUNK_VALUES // (width or 1)), *tail)
-        return self._file.create_dataset(
-            name, (0, *tail), dtype, chunks=chunk, maxshape=(None, *tail), **_FILTERS
+        return _Column(
+            self._file.create_dataset(
+                name, (0, *tail), dtype, chunks=chunk, maxshape=(None, *tail), **FILTERS
+            )
         )
+
+    def _append(self, column: _Column, values: NDArray[Any]) -> None:
+        """Add values to a column."""
+        while len(values):
+            room = len(column.chunk) - column.filled
+            some, values = values[:room], values[room:]
+            column.chunk[column.filled : column.filled + len(some)] = some
+            column.filled += len(some)
+            if column.filled == len(column.chunk):
+                self._send(column)
+
+    def _send(self, column: _Column) -> None:
+        """Have a column's chunk deflated, and begin the next; write those whose turn it is."""
+        start, stop = column.sent, column.sent + column.filled
+        packed = self._pool.submit(stored, column.chunk)
+        self._waiting.append((column.dataset, start, stop, packed))
+        column.chunk, column.filled, column.sent = np.zeros_like(column.chunk), 0, stop
+        self._write(_MOST_WAITING)
+
+    def _write(self, most_waiting: int) -> None:
+        """Write chunks in their order, until no more than that many are waiting."""
+        while len(self._waiting) > most_waiting:
+            dataset, start, stop, packed = self._waiting.popleft()
+            dataset.resize(stop, axis=0)
+            dataset.id.write_direct_chunk((start,) + (0,) * (dataset.ndim - 1), packed.result())
 
     def add_rows(
         self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
@@ -141,9 +180,9 @@ class BankWriter:
     def _add_rows(
         self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
     ) -> None:
-        _append(self._indices, indices)
-        _append(self._data, data)
-        _append(self._indptr, self.nonzeros + np.cumsum(counts))
+        self._append(self._indices, indices)
+        self._append(self._data, data)
+        self._append(self._indptr, self.nonzeros + np.cumsum(counts))
         self.rows += len(counts)
         self.nonzeros += len(data)
 
@@ -152,13 +191,15 @@ class BankWriter:
         self._do(self._finish, index, poses)
 
     def _finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
-        dataset = self._dataset("index", np.int32, index.shape[1])
-        step = dataset.chunks[0] * 16
-        for start in range(0, len(index), step):
-            _append(dataset, index[start : start + step])
-        dataset = self._dataset("poses", np.float64, 3)
+        index_column = self._column("index", np.int32, index.shape[1])
+        self._append(index_column, index)
+        poses_column = self._column("poses", np.float64, 3)
         for some in poses:
-            _append(dataset, some)
+            self._append(poses_column, some)
+        for column in (self._data, self._indices, self._indptr, index_column, poses_column):
+            if column.filled:
+                self._send(column)
+        self._write(0)
         self._file["masks"].attrs["shape"] = np.array(
             [self.rows, self.spec.cells**2], dtype=np.int64
         )
@@ -177,10 +218,10 @@ class BankWriter:
             write_seal(self.partial)
             _sync(self.partial)
             os.replace(self.partial, self.target)
-            self._thread.shutdown()
         except BaseException:
             self._discard()
             raise
+        self._thread.shutdown()
         _sync(self.target.parent)
 
     def _discard(self) -> None:
@@ -192,12 +233,6 @@ class BankWriter:
         finally:
             self._thread.shutdown()
             self.partial.unlink(missing_ok=True)
-
-
-def _append(dataset: h5py.Dataset, values: NDArray[np.generic]) -> None:
-    start = len(dataset)
-    dataset.resize(start + len(values), axis=0)
-    dataset[start:] = values
 
 
 def _sync(path: Path) -> None:

@@ -17,6 +17,7 @@ and azimuths) take the same path.
 """
 
 import math
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -25,9 +26,10 @@ import numpy as np
 
 from slicemask.geometry.azimuths import direction
 
-# Lattice values worked on at once: arrays small enough for a processor's second-level cache, and
-# for the allocator to hand out the same memory again (below 128 KiB). Either halves the time.
-_CACHE_VALUES = 15_000
+# Lattice values worked on at once. NumPy's fit a processor's second-level cache; other libraries
+# pay more for each call.
+_NUMPY_VALUES = 35_000
+_OTHER_VALUES = 90_000
 _PARALLEL = 1e-30
 
 
@@ -76,83 +78,143 @@ def sector_fractions(
 
 def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: ModuleType) -> Any:
     """`sector_fractions` of sectors narrower than 180 degrees."""
-    lattice = xp.arange(cells + 1, dtype=u.dtype, device=array_api_compat.device(u)) / cells
-    lu, lv = direction(left_deg, xp)
-    ru, rv = direction(right_deg, xp)
-    row_offset = lattice - v[:, None]  # Y of the horizontal lines
-    column_offset = lattice - u[:, None]  # X of the vertical lines
+    count, lines = u.shape[0], cells + 1
+    lattice = xp.arange(lines, dtype=u.dtype, device=array_api_compat.device(u)) / cells
+    ray_u, ray_v = direction(xp.concat([left_deg, right_deg]), xp)
+    lu, ru, lv, rv = ray_u[:count], ray_u[count:], ray_v[:count], ray_v[count:]
+    # The horizontal lines, then the vertical ones: their offsets Y and X, and their intervals.
     # Azimuth grows to the right where a line lies ahead (Y < 0) and to the left where it lies
     # behind; swapping the axes turns the plane's orientation, hence the swapped rays.
-    row_low, row_high = _interval(row_offset, u, lu, lv, ru, rv, xp)
-    column_low, column_high = _interval(column_offset, v, rv, ru, lv, lu, xp)
-
-    # NumPy's clip is a third slower than its two halves; torch's is a third faster, backward too.
-    on_numpy = array_api_compat.is_numpy_array(u)
-    clip = _numpy_clip if on_numpy else xp.clip
-
+    offset = lattice - xp.concat([v, u])[:, None]
+    low, high = _intervals(
+        offset,
+        xp.concat([u, v]),
+        (xp.concat([lu, rv]), xp.concat([lv, ru])),
+        (xp.concat([ru, lv]), xp.concat([rv, lu])),
+        xp,
+    )
     # Fractions are areas over that of a cell; the factor comes in here, where it is cheapest.
-    row_factor = row_offset * (cells * cells / 2)
-    column_factor = column_offset * (cells * cells / 2)
+    cuts = offset * (cells * cells / 2), low, high
+    # G is laid out as [i, b, j]: for all sectors at once, what belongs to columns lies together.
+    rows = [xp.permute_dims(values[:count, :], (1, 0))[:, :, None] for values in cuts]
+    columns = [values[None, count:, :] for values in cuts]
 
-    def row_differences(some: slice) -> Any:
-        """G[i + 1, j] - G[i, j], [b, L, L + 1]."""
-        g = row_factor[some, :, None] * clip(
-            lattice[None, None, :], row_low[some, :, None], row_high[some, :, None]
-        )
-        g += column_factor[some, None, :] * clip(
-            lattice[None, :, None], column_low[some, None, :], column_high[some, None, :]
-        )
-        return g[:, 1:, :] - g[:, :-1, :]
-
-    # Other libraries pay more for each call, and keep what they free.
-    values = _CACHE_VALUES if on_numpy else 6 * _CACHE_VALUES
-    step = max(1, values // (cells + 1) ** 2)
-    count = u.shape[0]
-    pieces = [slice(start, min(start + step, count)) for start in range(0, count, step)]
-    if on_numpy:
-        # Filling one array spares fresh memory, whose first touch costs as much as the arithmetic.
-        fractions = np.empty((count, cells, cells), dtype=u.dtype)
-        for some in pieces:
-            g = row_differences(some)
-            np.subtract(g[:, :, 1:], g[:, :, :-1], out=fractions[some])
-        return fractions
-    return xp.concat([g[:, :, 1:] - g[:, :, :-1] for g in map(row_differences, pieces)], axis=0)
+    on_numpy = array_api_compat.is_numpy_array(u)
+    step = max(1, (_NUMPY_VALUES if on_numpy else _OTHER_VALUES) // lines**2)
+    fractions: Any = np.empty((count, cells, cells), dtype=u.dtype) if on_numpy else []
+    desk = _Desk(lattice[None, None, :], lattice[:, None, None])
+    for start in range(0, count, step):
+        some = slice(start, min(start + step, count))
+        if on_numpy:
+            desk = desk.laid_out((lines, some.stop - some.start, lines))
+        areas = _areas([x[:, some, :] for x in rows], [x[:, some, :] for x in columns], desk, xp)
+        areas = xp.permute_dims(areas, (1, 0, 2))
+        if on_numpy:
+            fractions[some] = areas
+        else:
+            fractions.append(areas)
+    return fractions if on_numpy else xp.concat(fractions, axis=0)
 
 
-def _numpy_clip(values: Any, low: Any, high: Any) -> Any:
-    return np.minimum(np.maximum(values, low), high)
+@dataclass(frozen=True)
+class _Desk:
+    """The lattice along rows and columns, and arrays to compute in, if any: all [i, b, j].
+
+    NumPy works in arrays that are there: the first touch of fresh memory costs as much as the
+    arithmetic. And it works on whole arrays twice as fast as on those it must repeat.
+    """
+
+    along_row: Any
+    along_column: Any
+    one: Any = None
+    other: Any = None
+
+    def laid_out(self, shape: tuple[int, int, int]) -> "_Desk":
+        """Return a desk of arrays of a shape: this one, if it is."""
+        if self.one is not None and self.one.shape == shape:
+            return self
+        lattice = self.along_row[0, 0]
+        along_row, along_column, one, other = (np.empty(shape) for _ in range(4))
+        along_row[:], along_column[:] = lattice, lattice[:, None, None]
+        return _Desk(along_row, along_column, one, other)
 
 
-def _interval(
-    offset: Any, origin: Any, lp: Any, lq: Any, rp: Any, rq: Any, xp: ModuleType
+def _areas(rows: list[Any], columns: list[Any], desk: _Desk, xp: ModuleType) -> Any:
+    """Areas of the cells within sectors, over that of a cell, [L, b, L].
+
+    ``rows`` and ``columns`` are the factors, lows and highs of the horizontal lines [L + 1, b, 1]
+    and the vertical ones [1, b, L + 1].
+    """
+    g = _fluxes(desk.along_row, rows, desk.one, xp)
+    g += _fluxes(desk.along_column, columns, desk.other, xp)
+    if desk.one is None:
+        g = g[1:, :, :] - g[:-1, :, :]
+        return g[:, :, 1:] - g[:, :, :-1]
+    g = np.subtract(g[1:], g[:-1], out=desk.other[:-1])
+    # One long run, over the ends of rows too, takes half the time of many short ones.
+    np.subtract(g.reshape(-1)[1:], g.reshape(-1)[:-1], out=desk.one.reshape(-1)[: g.size - 1])
+    return desk.one[:-1, :, :-1]
+
+
+def _fluxes(lattice: Any, lines: list[Any], out: Any, xp: ModuleType) -> Any:
+    """One kind of lines' part of G, in the array ``out`` if there is one."""
+    factor, low, high = lines
+    if out is None:
+        return factor * xp.clip(lattice, low, high)
+    clipped = np.minimum(np.maximum(lattice, low, out=out), high, out=out)
+    return np.multiply(factor, clipped, out=out)
+
+
+def _intervals(
+    offset: Any, origin: Any, left: tuple[Any, Any], right: tuple[Any, Any], xp: ModuleType
 ) -> tuple[Any, Any]:
     """Where the lines q = offset lie in sectors: low and high p, in [0, 1], each [B, L + 1].
 
-    ``origin`` [B] is the camera's p; (lp, lq) and (rp, rq) [B] are the sectors' left and right
-    directions. Outside the sector low = high, so that clipping to the interval gives a constant.
+    ``origin`` [B] is the camera's p; ``left`` and ``right`` are the (p, q) of the sectors' left
+    and right directions, each [B]. Outside the sector low = high, so that clipping to the
+    interval gives a constant.
     """
-    left_meets, left_p = _meeting(offset, origin, lp, lq, xp)
-    right_meets, right_p = _meeting(offset, origin, rp, rq, xp)
-    zero, one = xp.zeros_like(left_p), xp.ones_like(left_p)
-    # Ahead (offset < 0) the sector opens with its left ray and closes with its right one. A ray
-    # that misses the line leaves that side open if the other one meets it, and empty otherwise.
     ahead = offset < 0.0
-    low_ahead = xp.where(left_meets, left_p, zero)
-    high_ahead = xp.where(right_meets, right_p, xp.where(left_meets, one, zero))
-    low_behind = xp.where(right_meets, right_p, xp.where(left_meets, zero, one))
-    high_behind = xp.where(left_meets, left_p, one)
-    return xp.where(ahead, low_ahead, low_behind), xp.where(ahead, high_ahead, high_behind)
+    left_ahead, left_behind, left_slope = _meetings(*left, xp)
+    right_ahead, right_behind, right_slope = _meetings(*right, xp)
+    zero, one = xp.zeros_like(origin), xp.ones_like(origin)
+
+    def bound(ray_ahead: Any, else_ahead: Any, ray_behind: Any, else_behind: Any) -> Any:
+        """Where the lines meet a ray (whether they do, its slope), or what stands for it."""
+        (meets_ahead, slope_ahead), (meets_behind, slope_behind) = ray_ahead, ray_behind
+        start = xp.where(
+            ahead,
+            xp.where(meets_ahead, origin, else_ahead)[:, None],
+            xp.where(meets_behind, origin, else_behind)[:, None],
+        )
+        slope = xp.where(
+            ahead,
+            xp.where(meets_ahead, slope_ahead, zero)[:, None],
+            xp.where(meets_behind, slope_behind, zero)[:, None],
+        )
+        return xp.clip(start + offset * slope, 0.0, 1.0)
+
+    # Ahead (offset < 0) the sector opens with its left ray and closes with its right one. A ray
+    # that misses the lines leaves that side open if the other one meets them, and empty otherwise.
+    low = bound(
+        (left_ahead, left_slope),
+        zero,
+        (right_behind, right_slope),
+        xp.where(left_behind, zero, one),
+    )
+    high = bound(
+        (right_ahead, right_slope),
+        xp.where(left_ahead, one, zero),
+        (left_behind, left_slope),
+        one,
+    )
+    return low, high
 
 
-def _meeting(offset: Any, origin: Any, p: Any, q: Any, xp: ModuleType) -> tuple[Any, Any]:
-    """Whether rays (p, q) from the origin meet the lines at offset, and where: p in [0, 1]."""
+def _meetings(p: Any, q: Any, xp: ModuleType) -> tuple[Any, Any, Any]:
+    """Whether rays (p, q) [B] meet the lines ahead, and those behind, and their slopes dp/dq."""
     # A ray this close to parallel leaves the tile before it meets any line that matters: fluxes
     # are proportional to the offset. Dividing by q would overflow.
     parallel = xp.abs(q) < _PARALLEL
-    meets = ~parallel[:, None] & (q[:, None] * offset > 0.0)
-    # The quotient is only used where the ray meets the line; elsewhere it is kept finite, so
-    # that no NaN reaches a gradient.
-    divisor = xp.where(parallel, xp.ones_like(q), q)
-    at = origin[:, None] + offset * (p / divisor)[:, None]
-    zero, one = xp.zeros_like(at), xp.ones_like(at)
-    return meets, xp.minimum(xp.maximum(at, zero), one)
+    slope = p / xp.where(parallel, xp.ones_like(q), q)
+    return ~parallel & (q < 0.0), ~parallel & (q > 0.0), slope

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from PIL import Image
 
 import cli
+from model.benchmark import time_run
 from model.config import TrainConfig
 from model.data.errors import ImageError
 from model.errors import ConfigError, RunError
@@ -243,6 +244,12 @@ def test_a_refinement_of_another_name_is_refused(localizer, run, cache, images):
         localizer.localize(*images, refine="coarse")
     with pytest.raises(ConfigError, match="refine is 'coarse'"):
         Localizer.load(run, cache=cache, device="cpu", refine="coarse")
+
+
+def test_a_run_is_timed_on_its_own_grid_or_another(run, cache):
+    assert time_run(run, cache=cache, device="cpu", runs=1).poses == 4 * 5 * 8
+    timings = time_run(run, grid="2x2x4", cache=cache, device="cpu", batch_size=2, runs=1)
+    assert (timings.poses, timings.batch_size) == (16, 2)
 
 
 def test_offsets_in_metres_and_on_the_globe():

