@@ -1,8 +1,9 @@
 """``python -m benchmarks.refinement``: what refining an answer costs beside scoring its grid.
 
 On the paper's shapes for VIGOR with VGG16 (512 channels, 32x32 cells, 16 slices, 21x21x64 poses)
-and random features. Grid and refinement are timed in turn, in one process; their ratio is what
-counts. How near refined answers come to the truth is in ``examples/refined_floor.py``.
+and random features. Grid and refinement are timed in turn, in one process, in seconds of the
+processor (of all cores together, so that other work does not stretch them); their ratio counts.
+How near refined answers come to the truth is in ``examples/refined_floor.py``.
 """
 
 import statistics
@@ -38,16 +39,16 @@ def main(runs: int) -> None:
     similarity = Similarity(ground[0], features[0], attention[0], FRUSTUM)
     seconds: dict[str, list[float]] = {"grid": [], "fine": [], "continuous": []}
     for _ in range(runs + 1):  # the first one is not counted
-        start = time.perf_counter()
+        start = time.process_time()
         with torch.no_grad():
             scores = score_candidates(ground, features, attention, candidates)
         grid = candidates.on_grid(scores)[0].numpy()
-        seconds["grid"].append(time.perf_counter() - start)
+        seconds["grid"].append(time.process_time() - start)
         for how in ("fine", "continuous"):
-            start = time.perf_counter()
+            start = time.process_time()
             modes, _ = find_modes(grid, GRID)
             refine_modes(similarity, modes, GRID, Domain(), how, TILE_METRES)
-            seconds[how].append(time.perf_counter() - start)
+            seconds[how].append(time.process_time() - start)
     medians = {name: statistics.median(taken[1:]) for name, taken in seconds.items()}
     print(f"{GRID} poses scored, VGG16's shapes: {medians['grid']:.2f} s")
     for how in ("fine", "continuous"):
