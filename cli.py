@@ -369,7 +369,7 @@ def visualize(
 def _check_model_installed() -> None:
     missing = [
         name
-        for name in ("torch", "timm", "lightning", "safetensors", "tensorboard", "yaml")
+        for name in ("torch", "timm", "lightning", "pyproj", "safetensors", "tensorboard", "yaml")
         if importlib.util.find_spec(name) is None
     ]
     if missing:
@@ -418,6 +418,7 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         ("slices", int, "N.  [default: 16]"),
         ("alpha", _Alpha(), "Weight of the candidates; K is plain infoNCE.  [default: 4]"),
         ("tau", float, "Temperature of the loss.  [default: 0.1]"),
+        ("near-negatives", int, "Negatives around each true pose.  [default: 0]"),
         ("learning-rate", float, "Of Adam.  [default: 1e-5]"),
         (
             "schedule",
@@ -445,6 +446,11 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         help="Whether aerial attention sees the ground.  [default: it does]",
     )(command)
     command = click.option(
+        "--grid-jitter/--no-grid-jitter",
+        default=None,
+        help="Whether the training grid moves at random.  [default: it does not]",
+    )(command)
+    command = click.option(
         "--augment/--no-augment",
         default=None,
         help="Turn, mirror and recolour training samples.  [default: not]",
@@ -466,11 +472,24 @@ _run_options = (
 )
 
 
+_refine = click.option(
+    "--refine",
+    type=click.Choice(["none", "mean", "fine", "continuous"]),
+    help="The best candidate, the mean of those around it, coarse to fine around the best ones, "
+    "or that and then gradients.  [default: fine]",
+)
+
+
 def _of_a_run(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add RUN and the options of commands that use one."""
     for option in reversed(_run_options):
         command = option(command)
     return command
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """The options without those that were not given, for the library's own defaults to hold."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 @main.command()
@@ -529,6 +548,7 @@ def train(
 @click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")
+@_refine
 @_as_json
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
     """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
@@ -536,9 +556,31 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
     from model.evaluation import evaluate
 
     with _progress("evaluating", "samples") as progress:
-        evaluation, folder = evaluate(run, progress=progress, **options)
+        evaluation, folder = evaluate(run, progress=progress, **_given(options))
     text = f"{evaluation.report()}\nresults in {folder}"
     _print(as_json, {**evaluation.summary(), "folder": str(folder)}, text)
+
+
+@main.command()
+@click.argument("run")
+@click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
+@click.option("--grid", metavar="RxCxH", help="Candidates.  [default: the run's test grid]")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ...")
+@click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")
+@_cache
+@_as_json
+def calibrate(run: str, as_json: bool, **options: Any) -> None:
+    """Fit what makes scores of RUN probabilities, on its validation part; training does so too."""
+    _check_model_installed()
+    from model.calibration import calibrate
+
+    with _progress("calibrating", "samples") as progress:
+        content = calibrate(run, progress=progress, **options)
+    text = (
+        "temperature {temperature:.4g}: mean negative log-likelihood {nll:.3f} on {samples} "
+        "samples, {nll_of_tau:.3f} with the loss's tau"
+    )
+    _print(as_json, content, text.format(**content))
 
 
 @main.command()
@@ -549,7 +591,12 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
 @click.option("--heading-prior", type=_Numbers("centre,half_width"), help="In degrees.")
 @click.option("--place-prior", type=_Numbers("u,v,radius"), help="In shares of the tile's side.")
 @click.option("--truth", type=_Numbers("u,v,heading_deg"), help="The true pose, to be drawn.")
+@click.option(
+    "--centre", type=_Numbers("lat,lon"), help="Of the tile, degrees: adds latitude and longitude."
+)
+@click.option("--geojson", metavar="FILE", help="GeoJSON of the pose; needs --centre.")
 @click.option("--out", metavar="FILE", help="Picture of the heat map and the pose: PNG, SVG, PDF.")
+@_refine
 @_as_json
 def predict(
     run: str,
@@ -559,17 +606,37 @@ def predict(
     heading_prior: tuple[float, float] | None,
     place_prior: tuple[float, float, float] | None,
     truth: tuple[float, float, float] | None,
+    centre: tuple[float, float] | None,
+    geojson: str | None,
     out: str | None,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Find where a ground image was taken, with a trained RUN."""
+    if centre is not None and metres_per_pixel is None:
+        raise click.UsageError("--centre needs --metres-per-pixel.")
+    if geojson is not None and centre is None:
+        raise click.UsageError("--geojson needs --centre and --metres-per-pixel.")
     _check_model_installed()
-    from model.localizer import Localizer
+    from model.localizer import Localizer, check_resolution
 
-    localizer = Localizer.load(run, options.pop("bank"), **options)
-    estimate = localizer.localize(ground, aerial, heading_prior, place_prior)
-    content: dict[str, Any] = estimate.as_dict(metres_per_pixel)
+    if metres_per_pixel is not None:
+        check_resolution(metres_per_pixel)
+    if centre is not None:
+        from model.geo import check_centre
+
+        check_centre(centre)
+    localizer = Localizer.load(run, options.pop("bank"), **_given(options))
+    estimate = localizer.localize(
+        ground, aerial, heading_prior, place_prior, metres_per_pixel=metres_per_pixel
+    )
+    content = estimate.as_dict(metres_per_pixel, centre) | {"refine": localizer.refine}
+    if geojson is not None:
+        from model.geo import feature_collection
+
+        collection = feature_collection(estimate, centre, metres_per_pixel)
+        Path(geojson).write_text(json.dumps(collection, indent=1) + "\n", encoding="utf-8")
+        content["geojson"] = geojson
     if out is not None:
         from model.drawing import draw_estimate
         from slicemask.plot import read_aerial, save_figure
@@ -583,7 +650,25 @@ def predict(
     text = "u {u:.4f}, v {v:.4f}, heading {heading_deg:.2f} degrees, score {score:.4f}"
     if metres_per_pixel is not None:
         text += "; {east_m:.2f} m east and {north_m:.2f} m north of the centre"
-    _print(as_json, content, text.format(**content) + (f"\n{out}" if out is not None else ""))
+    if centre is not None:
+        text += "; latitude {latitude:.7f}, longitude {longitude:.7f}"
+    lines = [text.format(**content), _certainty(estimate, metres_per_pixel, localizer.calibrated)]
+    _print(as_json, content, "\n".join([*lines, *filter(None, (geojson, out))]))
+
+
+def _certainty(estimate: Any, metres_per_pixel: float | None, calibrated: bool) -> str:
+    """One line on how sure an estimate is."""
+    east, north, heading = (
+        value**0.5 for value in estimate.covariance(metres_per_pixel).diagonal().tolist()
+    )
+    unit = "of the tile" if metres_per_pixel is None else "m"
+    others = ", ".join(f"{mode.probability:.1%}" for mode in estimate.modes[1:])
+    return (
+        f"probability {estimate.modes[0].probability:.1%}"
+        + ("" if calibrated else " (uncalibrated)")
+        + f", standard deviations {east:.2g} {unit} east, {north:.2g} {unit} north, "
+        f"{heading:.1f} degrees" + (f"; other modes {others}" if others else "")
+    )
 
 
 @main.command()

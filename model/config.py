@@ -83,6 +83,12 @@ class TrainConfig:
         Weight of the candidates in the loss; None for K, plain infoNCE.
     tau : float
         Temperature of the loss.
+    grid_jitter : bool
+        Move and turn the training grid at random in each step, within a cell and a heading step
+        (ours: false). A run draws from 16 offsets.
+    near_negatives : int
+        Further negatives of each pair at random within one step of the training grid around its
+        true pose (ours: 0).
     learning_rate : float
         Of Adam; with the one-cycle schedule, its highest.
     schedule : {"constant", "one-cycle"}
@@ -146,6 +152,8 @@ class TrainConfig:
     cross_view_attention: bool = True
     alpha: float | None = 4.0
     tau: float = 0.1
+    grid_jitter: bool = False
+    near_negatives: int = 0
     learning_rate: float = 1e-5
     schedule: Literal["constant", "one-cycle"] = "constant"
     batch_size: int = 4
@@ -171,7 +179,7 @@ class TrainConfig:
             object.__setattr__(self, "extent", self._default_extent())
         for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
             self._check(name, getattr(self, name) >= 1, "at least 1")
-        for name in ("heat_map_every", "bad_samples", "seed", "workers"):
+        for name in ("near_negatives", "heat_map_every", "bad_samples", "seed", "workers"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
         for name in ("tau", "learning_rate"):
             self._check(name, getattr(self, name) > 0, "greater than 0")

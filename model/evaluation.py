@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,10 +16,11 @@ from torch.utils.data import DataLoader, Subset
 from model.data import BadSamples, PoseDataset, collate, denormalise
 from model.drawing import draw_errors, draw_estimate
 from model.errors import ConfigError, RunError
-from model.localizer import Localizer
+from model.localizer import Estimate, Localizer
 from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
+from model.refinement import DEFAULT, Refine, near
 from model.runs import Checkpoint
-from model.scoring import Candidates, heat_map
+from model.uncertainty import Calibration, region
 from slicemask.plot import save_figure
 
 Progress = Callable[[int, int], None]
@@ -44,7 +45,9 @@ class Evaluation:
     errors : PoseErrors
         Of the estimates.
     floor : Floor
-        What the candidates alone cost on these samples.
+        What the candidates alone cost on these samples, unrefined.
+    calibration : Calibration
+        What the estimates' probabilities are worth.
     outside : int
         True places outside the grid's extent, where no candidate can find them.
     bad_samples : dict
@@ -59,6 +62,7 @@ class Evaluation:
     tile_metres: NDArray[np.float64]
     errors: PoseErrors
     floor: Floor
+    calibration: Calibration
     outside: int
     bad_samples: dict[str, str]
 
@@ -71,6 +75,7 @@ class Evaluation:
             "labels_outside_the_grid": self.outside,
             "errors": self.errors.summary(),
             "floor": self.floor.summary(),
+            "calibration": self.calibration.summary(),
         }
 
     def report(self) -> str:
@@ -78,7 +83,8 @@ class Evaluation:
         errors, floor = self.errors.summary(), self.floor.summary()
         lines = [
             f"{len(self.names):,} samples of {self.settings['data']} {self.settings['split']} "
-            f"{self.settings['part']}, candidates {self.settings['grid']}",
+            f"{self.settings['part']}, candidates {self.settings['grid']}, "
+            f"refine {self.settings['refine']}",
             "           mean      median    floor of the grid (mean, median)",
         ]
         for kind, unit in (("place", "m"), ("heading", "deg")):
@@ -91,6 +97,15 @@ class Evaluation:
         for kind, unit in (("lateral", "m"), ("longitudinal", "m"), ("heading", "deg")):
             one, five = (errors[f"{kind}_recall_{threshold}{unit}"] for threshold in (1, 5))
             lines.append(f"{kind:<13}{one:6.1%}{five:10.1%}   ({unit})")
+        sure = self.calibration.summary()
+        source = "fitted" if self.settings["calibrated"] else "the loss's tau, none is fitted"
+        lines += [
+            f"probabilities at temperature {self.settings['temperature']:.4g} ({source})",
+            f"calibration error {sure['expected_error']:.3f}: {sure['mean_probability']:.1%} "
+            f"promised on average, {sure['share_near']:.1%} found within reach",
+            f"95 % region {sure['region_share']:.1%} of the tile on average; it holds "
+            f"{sure['share_in_region']:.1%} of the true places",
+        ]
         if self.outside:
             lines.append(f"{self.outside:,} true places lie outside the grid's extent")
         if self.bad_samples:
@@ -106,6 +121,9 @@ class Evaluation:
                 **_named("true_", self.truths[n]),
                 **_named("", self.estimates[n]),
                 "score": float(self.scores[n]),
+                "probability": float(self.calibration.probability[n]),
+                "near": bool(self.calibration.near[n]),
+                "in_region": bool(self.calibration.in_region[n]),
                 "tile_metres": float(self.tile_metres[n]),
                 **{f"error_{kind}": float(values[n]) for kind, values in errors.items()},
             }
@@ -128,6 +146,7 @@ def evaluate(
     device: str = "auto",
     workers: int | None = None,
     cache: str | Path | None = None,
+    refine: Refine = DEFAULT,
     progress: Progress | None = None,
 ) -> tuple[Evaluation, Path]:
     """Evaluate a run and write its results.
@@ -161,6 +180,8 @@ def evaluate(
         Processes that load images; the run's own number by default.
     cache : path, optional
         The folder of banks.
+    refine : {"none", "mean", "fine", "continuous"}
+        How estimates are refined (`model.refinement`).
     progress : callable, optional
         Called with (samples done, samples in all).
 
@@ -180,17 +201,19 @@ def evaluate(
         If the request does not fit the run or its data.
     """
     localizer = Localizer.load(
-        run, bank, grid=grid, checkpoint=checkpoint, device=device, cache=cache
+        run, bank, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine=refine
     )
     config = localizer.config
     split = split or config.split
     dataset = config.dataset(part, root, split)
     name = f"{split}_{part}_{localizer.grid}_{checkpoint}"
+    if refine != "none":
+        name += f"_{refine}"
     if limit is not None:
         if limit < 1:
             raise ConfigError(f"limit is {limit}; it must be at least 1")
         name += f"_{limit}"
-    chosen = Subset(dataset, _spread(len(dataset), limit))
+    chosen = Subset(dataset, spread(len(dataset), limit))
     folder = Path(out) if out is not None else Path(run) / "evaluation" / name
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
@@ -208,12 +231,21 @@ def evaluate(
         "heading_prior_deg": config.heading_prior(),
         "place_prior": config.place_prior,
         "seed": config.seed,
+        "refine": refine,
+        "temperature": localizer.temperature,
+        "calibrated": localizer.calibrated,
     }
     workers = config.workers if workers is None else workers
     evaluation = _measure(settings, localizer, chosen, workers, progress)
     _write(evaluation, folder)
     _draw(evaluation, localizer, dataset, folder)
     return evaluation, folder
+
+
+def spread(count: int, limit: int | None) -> list[int]:
+    """At most `limit` of the numbers 0 to count - 1, spread evenly."""
+    some = count if limit is None else min(limit, count)
+    return np.linspace(0, count - 1, some).round().astype(int).tolist()
 
 
 def _measure(
@@ -225,44 +257,69 @@ def _measure(
 ) -> Evaluation:
     """Estimate the pose of every sample chosen."""
     dataset = chosen.dataset
-    candidates = localizer.within()
     loader = DataLoader(
         chosen, localizer.config.batch_size, num_workers=workers, collate_fn=collate
     )
     read: list[int] = []
-    best: list[Tensor] = []
-    scores: list[Tensor] = []
+    estimates: list[_Kept] = []
     for number, batch in enumerate(loader, start=1):
         if batch is not None:
-            found = _scores(localizer, batch["ground"], batch["aerial"], candidates).max(dim=1)
             read += batch["index"].tolist()
-            best.append(found.indices.cpu())
-            scores.append(found.values.cpu())
+            truths = batch["pose"].numpy()
+            metres = dataset.tile_metres[batch["index"].numpy()]
+            found = _estimates(localizer, batch["ground"], batch["aerial"], metres)
+            estimates += map(_keep, found, truths)
         if progress is not None:
             progress(min(number * localizer.config.batch_size, len(chosen)), len(chosen))
     bad_samples = dataset.bad_samples.entries()
     if not read:
         raise RunError(f"none of the {len(chosen)} samples can be read: {bad_samples}")
-    estimates = candidates.poses[torch.cat(best).numpy()]
+    poses = np.array([kept.pose for kept in estimates])
     truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
     return Evaluation(
         settings=settings,
         names=[dataset.names[index] for index in read],
         truths=truths,
-        estimates=estimates,
-        scores=torch.cat(scores).double().numpy(),
+        estimates=poses,
+        scores=np.array([kept.score for kept in estimates]),
         tile_metres=tile_metres,
-        errors=pose_errors(estimates, truths, tile_metres),
-        floor=candidate_floor(candidates.poses, truths, tile_metres),
+        errors=pose_errors(poses, truths, tile_metres),
+        floor=candidate_floor(localizer.within().poses, truths, tile_metres),
+        calibration=Calibration(
+            probability=np.array([kept.probability for kept in estimates]),
+            near=np.array([kept.near for kept in estimates]),
+            in_region=np.array([kept.in_region for kept in estimates]),
+            region_share=np.array([kept.region_share for kept in estimates]),
+        ),
         outside=dataset.count_outside(localizer.grid.extent, read),
         bad_samples=bad_samples,
     )
 
 
-def _spread(count: int, limit: int | None) -> list[int]:
-    """At most `limit` of the numbers 0 to count - 1, spread evenly."""
-    some = count if limit is None else min(limit, count)
-    return np.linspace(0, count - 1, some).round().astype(int).tolist()
+class _Kept(NamedTuple):
+    """What is kept of an estimate: not its scores, which are many."""
+
+    pose: NDArray[np.float64]
+    score: float
+    probability: float
+    near: bool
+    in_region: bool
+    region_share: float
+
+
+def _keep(estimate: Estimate, truth: NDArray[np.float64]) -> _Kept:
+    grid = estimate.grid
+    held = region(estimate.place_map)
+    row, column = np.abs(grid.v - truth[1]).argmin(), np.abs(grid.u - truth[0]).argmin()
+    u0, v0, u1, v1 = grid.extent
+    return _Kept(
+        estimate.pose,
+        estimate.score,
+        estimate.modes[0].probability,
+        bool(near(estimate.pose, truth[None], grid)[0]),
+        bool(held[row, column]),
+        float(held.mean() * (u1 - u0) * (v1 - v0)),
+    )
 
 
 def _write(evaluation: Evaluation, folder: Path) -> None:
@@ -280,15 +337,15 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
     order = np.argsort(evaluation.errors.place_m, kind="stable")
     cases = {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
     index_of = {name: index for index, name in enumerate(dataset.names)}
-    candidates = localizer.within()
     for case, n in cases.items():
         name = evaluation.names[n]
         sample = dataset[index_of[name]]
-        scores = _scores(localizer, sample["ground"][None], sample["aerial"][None], candidates)
+        metres = evaluation.tile_metres[n : n + 1]
+        (estimate,) = _estimates(localizer, sample["ground"][None], sample["aerial"][None], metres)
         place_m, heading_deg = evaluation.errors.place_m[n], evaluation.errors.heading_deg[n]
         figure = draw_estimate(
             denormalise(sample["aerial"]),
-            heat_map(candidates.on_grid(scores))[0].cpu().numpy(),
+            estimate.heat_map,
             localizer.grid,
             evaluation.estimates[n],
             localizer.frustum,
@@ -299,10 +356,15 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
         save_figure(figure, folder / f"{case}.png")
 
 
-def _scores(localizer: Localizer, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
-    """Scores [B, K] of normalised images, without gradients."""
+def _estimates(
+    localizer: Localizer, ground: Tensor, aerial: Tensor, tile_metres: NDArray[np.float64]
+) -> list[Estimate]:
+    """Estimates of normalised images."""
     with torch.no_grad():
-        return localizer.model(ground.to(localizer.device), aerial.to(localizer.device), candidates)
+        descriptors = localizer.model.encode_ground(ground.to(localizer.device))
+        features = localizer.model.encode_aerial(aerial.to(localizer.device))
+    pixels = [aerial.shape[-1]] * len(aerial)
+    return localizer.estimate(descriptors, features, pixels, tile_metres.tolist())
 
 
 def _named(prefix: str, pose: NDArray[np.float64]) -> dict[str, float]:

@@ -2,7 +2,9 @@
 
 import hashlib
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,20 @@ from model.data import normalise, read_image
 from model.data.images import check_shape, resize, turn_panorama
 from model.data.kitti import GROUND_ASPECT
 from model.errors import ConfigError
+from model.refinement import (
+    DEFAULT,
+    Domain,
+    Refine,
+    Similarity,
+    check_refine,
+    find_modes,
+    near,
+    refine_modes,
+)
 from model.runs import Checkpoint, RunFolder, choose_device
-from model.scoring import Candidates
+from model.scoring import Candidates, score_candidates
 from model.slicematch import SliceMatch
+from model.uncertainty import covariance, mean_poses, mode_probabilities, probabilities
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
 Picture = str | Path | Image.Image | NDArray[np.uint8]
@@ -27,33 +40,97 @@ _TILES_KEPT = 8
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """Where a ground image was taken.
+class Mode:
+    """One answer among several: a peak of the scores.
 
     Attributes
     ----------
     pose : float64 [3]
-        u, v, heading_deg of the best candidate.
+        u, v, heading_deg.
     score : float
         Its score, a cosine in [-1, 1].
+    probability : float
+        That the camera is within reach of it (`model.refinement.near`): the candidates there,
+        less those that a better mode has, count together.
+    """
+
+    pose: NDArray[np.float64]
+    score: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where a ground image was taken, and how sure that is.
+
+    Attributes
+    ----------
+    modes : tuple of Mode
+        Best first. The first one is the answer.
     scores : float32 [rows, columns, headings]
         Scores of all candidates; -inf where a prior left one out.
     grid : PoseGrid
         Where the candidates stand.
     tile_pixels : int
         Side of the aerial tile as it was handed in.
+    temperature : float
+        That makes the scores probabilities (`model.uncertainty`).
     """
 
-    pose: NDArray[np.float64]
-    score: float
+    modes: tuple[Mode, ...]
     scores: NDArray[np.float32]
     grid: PoseGrid
     tile_pixels: int
+    temperature: float
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """u, v, heading_deg of the answer, float64 [3]."""
+        return self.modes[0].pose
+
+    @property
+    def score(self) -> float:
+        """The answer's score, a cosine in [-1, 1]."""
+        return self.modes[0].score
 
     @property
     def heat_map(self) -> NDArray[np.float32]:
         """Best score at each place over the headings, float32 [rows, columns]."""
         return self.scores.max(axis=-1)
+
+    @cached_property
+    def probabilities(self) -> NDArray[np.float64]:
+        """Probabilities of all candidates, 1 in all: float64 [rows, columns, headings]."""
+        return probabilities(self.scores, self.temperature)
+
+    @property
+    def place_map(self) -> NDArray[np.float64]:
+        """Probabilities of the places, over all headings: float64 [rows, columns]."""
+        return self.probabilities.sum(axis=-1)
+
+    def covariance(self, metres_per_pixel: float | None = None) -> NDArray[np.float64]:
+        """How candidates within reach of the answer spread about it: float64 [3, 3].
+
+        Parameters
+        ----------
+        metres_per_pixel : float, optional
+            Of the tile as it was handed in.
+
+        Returns
+        -------
+        covariance : float64 [3, 3]
+            Of east, north (metres, or shares of the tile's side if no resolution is given) and
+            heading (degrees).
+        """
+        poses = self.grid.poses()
+        around = near(self.pose, poses, self.grid)
+        moments = covariance(
+            self.pose, poses[around], self.probabilities.ravel()[around], self.grid
+        )
+        scale = np.ones(3)
+        if metres_per_pixel is not None:
+            scale[:2] = self._side_m(metres_per_pixel)
+        return moments * np.outer(scale, scale)
 
     def offset_m(self, metres_per_pixel: float) -> tuple[float, float]:
         """Metres (east, north) from the tile's centre to the camera.
@@ -63,20 +140,70 @@ class Estimate:
         metres_per_pixel : float
             Of the tile as it was handed in, north up.
         """
-        if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
-            raise ConfigError(
-                f"metres per pixel is {metres_per_pixel!r}; it must be greater than 0"
-            )
-        side = self.tile_pixels * metres_per_pixel
-        return float((self.pose[0] - 0.5) * side), float((0.5 - self.pose[1]) * side)
+        return self._offset_m(self.pose, metres_per_pixel)
 
-    def as_dict(self, metres_per_pixel: float | None = None) -> dict[str, float]:
-        """u, v, heading_deg and score, and with a resolution also east_m and north_m."""
-        u, v, heading_deg = (float(value) for value in self.pose)
-        content = {"u": u, "v": v, "heading_deg": heading_deg, "score": self.score}
+    def as_dict(
+        self,
+        metres_per_pixel: float | None = None,
+        centre: tuple[float, float] | None = None,
+    ) -> dict[str, Any]:
+        """The estimate as plain values, for JSON.
+
+        Parameters
+        ----------
+        metres_per_pixel : float, optional
+            Of the tile as it was handed in, north up: adds east_m and north_m.
+        centre : (latitude, longitude), optional
+            Of the tile, degrees; with a resolution it adds latitude and longitude.
+
+        Returns
+        -------
+        content : dict
+            u, v, heading_deg, score and probability of the answer, what was asked to be added,
+            its covariance (`covariance`), the temperature, and the same of the other_modes.
+        """
+        best, *others = (self._mode_dict(mode, metres_per_pixel, centre) for mode in self.modes)
+        return {
+            **best,
+            "covariance": self.covariance(metres_per_pixel).tolist(),
+            "temperature": self.temperature,
+            "other_modes": others,
+        }
+
+    def _mode_dict(
+        self, mode: Mode, metres_per_pixel: float | None, centre: tuple[float, float] | None
+    ) -> dict[str, float]:
+        u, v, heading_deg = (float(value) for value in mode.pose)
+        content = {"u": u, "v": v, "heading_deg": heading_deg}
+        content |= {"score": mode.score, "probability": mode.probability}
         if metres_per_pixel is not None:
-            content["east_m"], content["north_m"] = self.offset_m(metres_per_pixel)
+            east_m, north_m = self._offset_m(mode.pose, metres_per_pixel)
+            content |= {"east_m": east_m, "north_m": north_m}
+            if centre is not None:
+                from model.geo import offset_position
+
+                latitude, longitude = offset_position(centre, east_m, north_m)
+                content |= {"latitude": latitude, "longitude": longitude}
+        elif centre is not None:
+            raise ConfigError(
+                "the tile's centre alone gives no latitude and longitude; give its metres per "
+                "pixel too"
+            )
         return content
+
+    def _offset_m(self, pose: NDArray[np.float64], metres_per_pixel: float) -> tuple[float, float]:
+        side = self._side_m(metres_per_pixel)
+        return float((pose[0] - 0.5) * side), float((0.5 - pose[1]) * side)
+
+    def _side_m(self, metres_per_pixel: float) -> float:
+        return self.tile_pixels * check_resolution(metres_per_pixel)
+
+
+def check_resolution(metres_per_pixel: float) -> float:
+    """The metres per pixel, or ConfigError if they cannot be."""
+    if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
+        raise ConfigError(f"metres per pixel is {metres_per_pixel!r}; it must be greater than 0")
+    return float(metres_per_pixel)
 
 
 @dataclass(frozen=True)
@@ -112,6 +239,10 @@ class Localizer:
         The run's settings.
     device : torch.device
         Where model and candidates are.
+    refine : {"none", "mean", "fine", "continuous"}
+        How estimates are refined (`model.refinement`), unless `localize` is told otherwise.
+    temperature : float, optional
+        That makes scores probabilities; the loss's tau by default.
     """
 
     def __init__(
@@ -121,12 +252,17 @@ class Localizer:
         grid: PoseGrid,
         config: TrainConfig,
         device: torch.device,
+        refine: Refine = DEFAULT,
+        temperature: float | None = None,
     ) -> None:
         self.model = model
         self.candidates = candidates
         self.grid = grid
         self.config = config
         self.device = device
+        self.refine = check_refine(refine)
+        self.calibrated = temperature is not None
+        self.temperature = config.tau if temperature is None else temperature
         self.frustum: Frustum = config.frustum()
         self._tiles: OrderedDict[bytes, AerialTile] = OrderedDict()
 
@@ -140,6 +276,7 @@ class Localizer:
         checkpoint: Checkpoint = "best",
         device: str = "auto",
         cache: str | Path | None = None,
+        refine: Refine = DEFAULT,
     ) -> "Localizer":
         """Load a run; nothing that its files may hold is run.
 
@@ -157,6 +294,10 @@ class Localizer:
             "auto", "cpu", "cuda", ...
         cache : path, optional
             The folder of banks, as for `slicemask.build_bank`.
+        refine : {"none", "mean", "fine", "continuous"}
+            How estimates are refined: not at all, the best candidate is the answer; the mean of
+            the candidates around it, by their probabilities; coarse to fine; or that and then by
+            gradients (`model.refinement`, `model.uncertainty.mean_poses`).
 
         Raises
         ------
@@ -169,13 +310,17 @@ class Localizer:
         """
         if bank is not None and grid is not None:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
-        config, model = RunFolder(Path(run)).load_model(checkpoint)
+        folder = RunFolder(Path(run))
+        config, model = folder.load_model(checkpoint)
+        temperature = folder.load_temperature()
         chosen = choose_device(device)
         if bank is None:
             poses = config.grid("test_grid", grid)
             bank = build_bank(poses, config.frustum(), model.cells, cache=cache).path
         candidates, poses = load_candidates(bank, config.frustum(), model.cells)
-        return cls(model.to(chosen), candidates.to(chosen), poses, config, chosen)
+        return cls(
+            model.to(chosen), candidates.to(chosen), poses, config, chosen, refine, temperature
+        )
 
     def encode_aerial(self, aerial: Picture) -> AerialTile:
         """Encode an aerial tile, for use with many ground images.
@@ -210,6 +355,9 @@ class Localizer:
         aerial: Picture | AerialTile,
         heading_prior_deg: tuple[float, float] | None = None,
         place_prior: tuple[float, float, float] | None = None,
+        *,
+        refine: Refine | None = None,
+        metres_per_pixel: float | None = None,
     ) -> Estimate:
         """Find the pose of a ground image in an aerial tile.
 
@@ -225,6 +373,10 @@ class Localizer:
             run was trained with, if any; (0, 180) allows every heading.
         place_prior : (u, v, radius), optional
             Only places within the radius of (u, v), in the aerial frame. By default the run's.
+        refine : {"none", "mean", "fine", "continuous"}, optional
+            The localizer's own by default.
+        metres_per_pixel : float, optional
+            Of the tile as it is handed in; the finest step is then in metres.
 
         Raises
         ------
@@ -234,18 +386,73 @@ class Localizer:
             If the priors cannot be, or leave no candidate.
         """
         tile = aerial if isinstance(aerial, AerialTile) else self.encode_aerial(aerial)
-        candidates = self.within(heading_prior_deg, place_prior)
+        tile_metres = None
+        if metres_per_pixel is not None:
+            tile_metres = [tile.pixels * check_resolution(metres_per_pixel)]
         with torch.no_grad():
             descriptors = self.model.encode_ground(self._ground(ground))
-            scores = self.model.score(descriptors, tile.features, candidates)[0]
-        best = int(scores.argmax())
-        return Estimate(
-            pose=candidates.poses[best].copy(),
-            score=float(scores[best]),
-            scores=candidates.on_grid(scores[None])[0].cpu().numpy(),
-            grid=self.grid,
-            tile_pixels=tile.pixels,
+        (estimate,) = self.estimate(
+            descriptors,
+            tile.features,
+            [tile.pixels],
+            tile_metres,
+            heading_prior_deg,
+            place_prior,
+            refine,
         )
+        return estimate
+
+    def estimate(
+        self,
+        ground: torch.Tensor,
+        aerial: torch.Tensor,
+        tile_pixels: Sequence[int],
+        tile_metres: Sequence[float] | None = None,
+        heading_prior_deg: tuple[float, float] | None = None,
+        place_prior: tuple[float, float, float] | None = None,
+        refine: Refine | None = None,
+    ) -> list[Estimate]:
+        """Find the poses of encoded images; what `localize` does after encoding.
+
+        Parameters
+        ----------
+        ground : float [B, N, C]
+            d_g^n, what the model's `encode_ground` gives.
+        aerial : float [B, C, L, L]
+            z_a, what its `encode_aerial` gives.
+        tile_pixels : int [B]
+            Side of each tile as it was handed in.
+        tile_metres : float [B], optional
+            Side of each tile on the ground.
+        heading_prior_deg, place_prior, refine
+            As in `localize`.
+        """
+        refine = check_refine(refine or self.refine)
+        candidates = self.within(heading_prior_deg, place_prior)
+        domain = Domain(self.grid.extent, *self._priors(heading_prior_deg, place_prior))
+        with torch.no_grad():
+            attention = self.model.attend(aerial, ground)
+            scored = score_candidates(ground, aerial, attention, candidates)
+            scores = candidates.on_grid(scored).cpu().numpy()
+        estimates = []
+        for b in range(len(scores)):
+            similarity = Similarity(ground[b], aerial[b], attention[b], self.frustum)
+            poses, values = find_modes(scores[b], self.grid)
+            likely = probabilities(scores[b], self.temperature)
+            if refine == "mean":
+                # A mean lies in the domain but for rounding.
+                means = domain.project(torch.from_numpy(mean_poses(poses, likely, self.grid)))
+                with torch.no_grad():
+                    poses, values = means.numpy(), similarity(means).double().cpu().numpy()
+            elif refine != "none":
+                metres = None if tile_metres is None else float(tile_metres[b])
+                poses, values = refine_modes(similarity, poses, self.grid, domain, refine, metres)
+            shares = mode_probabilities(poses, likely, self.grid)
+            modes = map(Mode, poses, values.tolist(), shares.tolist())
+            estimates.append(
+                Estimate(tuple(modes), scores[b], self.grid, int(tile_pixels[b]), self.temperature)
+            )
+        return estimates
 
     def within(
         self,
@@ -253,7 +460,15 @@ class Localizer:
         place_prior: tuple[float, float, float] | None = None,
     ) -> Candidates:
         """The candidates that agree with the priors given, or else with the run's own."""
-        return self.candidates.within(
+        return self.candidates.within(*self._priors(heading_prior_deg, place_prior))
+
+    def _priors(
+        self,
+        heading_prior_deg: tuple[float, float] | None,
+        place_prior: tuple[float, float, float] | None,
+    ) -> tuple[tuple[float, float] | None, tuple[float, float, float] | None]:
+        """The priors given, or else the run's own."""
+        return (
             heading_prior_deg or self.config.heading_prior(),
             place_prior or self.config.place_prior,
         )

@@ -175,6 +175,37 @@ def candidate_floor(candidates: ArrayLike, truths: ArrayLike, tile_metres: Array
     )
 
 
+def nearest_candidates(candidates: ArrayLike, truths: ArrayLike) -> np.ndarray:
+    """The candidate whose cell of the grid each true pose lies in: int64 [n].
+
+    It is the one of the nearest heading among those of the nearest place.
+
+    Parameters
+    ----------
+    candidates : float [K, 3]
+        u, v, heading_deg.
+    truths : float [n, 3]
+        u, v, heading_deg.
+
+    Examples
+    --------
+    >>> nearest_candidates([[0.5, 0.5, 0.0], [0.5, 0.5, 90.0], [0.9, 0.5, 0.0]], [[0.6, 0.5, 350]])
+    array([0])
+    """
+    candidates = _as_poses(candidates, "candidate poses")
+    truths = _as_poses(truths, "true poses")
+    places, place = np.unique(candidates[:, :2], axis=0, return_inverse=True)
+    place = place.ravel()
+    order = np.argsort(place, kind="stable")
+    starts = np.searchsorted(place[order], np.arange(len(places) + 1))
+    _, nearest = cKDTree(places).query(truths[:, :2])
+    found = np.empty(len(truths), dtype=np.int64)
+    for n, at in enumerate(nearest):
+        there = order[starts[at] : starts[at + 1]]
+        found[n] = there[heading_error_deg(candidates[there, 2], truths[n, 2]).argmin()]
+    return found
+
+
 def _mean_and_median(place_m: np.ndarray, heading_deg: np.ndarray) -> dict[str, float]:
     return {
         "place_mean_m": float(np.mean(place_m)),

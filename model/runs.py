@@ -7,10 +7,14 @@
 ``checkpoints/best.ckpt``, ``checkpoints/last.ckpt``
     Weights, and in the last one everything that resuming takes. Both are read with torch's
     ``weights_only=True``, so that opening a run from elsewhere runs nothing that it holds.
+``calibration.json``
+    The temperature that makes scores probabilities (`model.calibration`).
 ``tensorboard/``, ``heat_maps/``, ``bad_samples.jsonl``, ``evaluation/``
     Curves, an example of each epoch, unreadable samples, and results.
 """
 
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,6 +56,11 @@ class RunFolder:
         """Samples that could not be read in training."""
         return self.path / "bad_samples.jsonl"
 
+    @property
+    def calibration_file(self) -> Path:
+        """The temperature, and how it was fitted."""
+        return self.path / "calibration.json"
+
     def checkpoint(self, which: str) -> Path:
         """The checkpoint "best" or "last"."""
         return self.path / "checkpoints" / f"{which}.ckpt"
@@ -72,6 +81,27 @@ class RunFolder:
                 "one that `slicemask train` wrote"
             )
         return TrainConfig.load(self.config_file)
+
+    def load_temperature(self) -> float | None:
+        """The temperature that was fitted to the run's scores; None if none was.
+
+        Raises
+        ------
+        RunError
+            If the file that should hold it does not.
+        """
+        try:
+            temperature = json.loads(self.calibration_file.read_text("utf-8"))["temperature"]
+            if not (isinstance(temperature, float) and 0.0 < temperature < math.inf):
+                raise ValueError(f"temperature is {temperature!r}")
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise RunError(
+                f"{self.calibration_file}: holds no temperature greater than 0 ({error!r}); "
+                "remove it, or write it anew with `slicemask calibrate`"
+            ) from error
+        return temperature
 
     def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
         """The run's settings and its model with trained weights, on the CPU, set to evaluate.

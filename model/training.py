@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, DistributedSampler
 
 from model import _torchvision  # noqa: F401  before lightning: see there
+from model.calibration import calibrate
 from model.config import TrainConfig
 from model.data import BadSamples, PoseDataset, collate, denormalise
 from model.drawing import draw_estimate
@@ -26,6 +27,8 @@ from model.errors import ConfigError, RunError
 from model.localizer import load_candidates
 from model.losses import contrastive_loss
 from model.metrics import pose_errors
+from model.negatives import jittered_candidates, near_poses
+from model.refinement import Domain
 from model.runs import RunFolder, build_model, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
@@ -132,8 +135,12 @@ def train(
         trainer.fit(
             module, datamodule=data, ckpt_path=last if resuming else None, weights_only=True
         )
-    if trainer.is_global_zero and (message := bad_samples.report()):
-        log.warning(message)
+    if trainer.is_global_zero:
+        if message := bad_samples.report():
+            log.warning(message)
+        if validation is not None:
+            device = "cpu" if config.accelerator == "cpu" else "auto"
+            calibrate(run.path, device=device, cache=cache)
     return run.path
 
 
@@ -242,6 +249,18 @@ class TrainingModule(lightning.LightningModule):
         self.frustum = config.frustum()
         self.train_candidates = train_candidates
         self.test_candidates = test_candidates
+        self.train_grid = config.grid("train_grid")
+        self.domain = Domain(config.extent, config.heading_prior(), config.place_prior)
+        self.jittered_candidates: list[Candidates] = []
+        if config.grid_jitter:
+            self.jittered_candidates = jittered_candidates(
+                train_candidates.poses,
+                self.train_grid,
+                self.domain,
+                self.frustum,
+                model.cells,
+                config.seed,
+            )
         self._estimates: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def configure_optimizers(self) -> torch.optim.Optimizer | dict[str, Any]:
@@ -265,12 +284,16 @@ class TrainingModule(lightning.LightningModule):
         """Bring the candidates to the model's device."""
         self.train_candidates = self.train_candidates.to(self.device)
         self.test_candidates = self.test_candidates.to(self.device)
+        self.jittered_candidates = [some.to(self.device) for some in self.jittered_candidates]
 
     def on_train_epoch_start(self) -> None:
         """Let the epoch's draws depend on the seed and the epoch's number alone."""
         self.trainer.datamodule.training.set_epoch(self.current_epoch)
         state = [self.config.seed, self.current_epoch, self.global_rank]
-        torch.manual_seed(int(np.random.SeedSequence(state).generate_state(1)[0]))
+        seed = int(np.random.SeedSequence(state).generate_state(1)[0])
+        torch.manual_seed(seed)
+        # Of its own: the loaders draw from the global one, before or after this.
+        self.generator = torch.Generator().manual_seed(seed)
 
     def training_step(self, batch: dict[str, Any], _: int) -> Tensor:
         """Loss of a batch: the exact true pose against the training grid (eq. 1)."""
@@ -279,7 +302,18 @@ class TrainingModule(lightning.LightningModule):
         attention = self.model.attend(aerial, ground)
         masks = slice_masks(batch["pose"], self.frustum, self.model.cells, engine="rays")
         truth = score_masks(ground, aerial, attention, masks[:, None])[:, 0]
-        scores = score_candidates(ground, aerial, attention, self.train_candidates)
+        scores = score_candidates(ground, aerial, attention, self._negatives())
+        if self.config.near_negatives:
+            near = near_poses(
+                batch["pose"],
+                self.config.near_negatives,
+                self.train_grid,
+                self.domain,
+                self.generator,
+            )
+            masks = slice_masks(near.flatten(0, 1), self.frustum, self.model.cells, engine="rays")
+            masks = masks.unflatten(0, near.shape[:2])
+            scores = torch.cat([scores, score_masks(ground, aerial, attention, masks)], dim=1)
         loss = contrastive_loss(truth, scores, self.config.alpha, self.config.tau).mean()
         self.log(
             "train/loss",
@@ -291,6 +325,13 @@ class TrainingModule(lightning.LightningModule):
             sync_dist=True,
         )
         return loss
+
+    def _negatives(self) -> Candidates:
+        """The training grid, or one of its offsets at random."""
+        if not self.jittered_candidates:
+            return self.train_candidates
+        count = len(self.jittered_candidates)
+        return self.jittered_candidates[int(torch.randint(count, (), generator=self.generator))]
 
     def validation_step(self, batch: dict[str, Any] | None, _: int) -> None:
         """Estimates of a batch on the test grid."""

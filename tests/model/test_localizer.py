@@ -7,16 +7,20 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 from PIL import Image
 
+import cli
 from model.benchmark import time_run
 from model.config import TrainConfig
 from model.data.errors import ImageError
 from model.errors import ConfigError, RunError
 from model.evaluation import evaluate
-from model.localizer import Estimate, Localizer
+from model.localizer import Estimate, Localizer, Mode
+from model.refinement import DEFAULT, near
+from model.scoring import score_masks
 from model.training import train
-from slicemask import Frustum, PoseGrid, build_bank
+from slicemask import Frustum, PoseGrid, build_bank, slice_masks
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +70,8 @@ def images(vigor):
     return city / "panorama" / panorama, city / "satellite" / tile
 
 
-def test_an_estimate_is_the_best_candidate(localizer, images):
-    estimate = localizer.localize(*images)
+def test_an_unrefined_estimate_is_the_best_candidate(localizer, images):
+    estimate = localizer.localize(*images, refine="none")
     assert estimate.scores.shape == (4, 5, 8)
     assert estimate.heat_map.shape == (4, 5)
     best = np.unravel_index(estimate.scores.argmax(), estimate.scores.shape)
@@ -120,11 +124,11 @@ def test_a_tile_is_encoded_once_for_many_ground_images(run, cache, vigor, images
 
 def test_priors_leave_candidates_out(localizer, images):
     whole = localizer.localize(*images)
-    near_north = localizer.localize(*images, heading_prior_deg=(350, 60))
+    near_north = localizer.localize(*images, heading_prior_deg=(350, 60), refine="none")
     assert np.isfinite(near_north.scores).any(axis=(0, 1)).tolist() == [
         True, True, False, False, False, False, False, True,
     ]  # fmt: skip
-    corner = localizer.localize(*images, place_prior=(0.1, 0.125, 0.05))
+    corner = localizer.localize(*images, place_prior=(0.1, 0.125, 0.05), refine="none")
     assert np.isfinite(corner.heat_map).sum() == 1
     np.testing.assert_array_equal(corner.pose[:2], [0.1, 0.125])
     kept = np.isfinite(near_north.scores)
@@ -159,26 +163,122 @@ def test_pictures_that_cannot_be(localizer, images):
         localizer.localize(images[0], np.zeros((4, 4)))
 
 
+@pytest.mark.parametrize("refine", ["fine", "continuous"])
+def test_a_refined_estimate_scores_no_less(localizer, images, refine):
+    grid = localizer.localize(*images, refine="none")
+    refined = localizer.localize(*images, refine=refine)
+    np.testing.assert_array_equal(refined.scores, grid.scores)
+    assert refined.score > grid.score
+    assert (refined.pose != grid.pose).any()
+    # The score is that of the pose's own exact masks.
+    masks = slice_masks(torch.from_numpy(refined.pose)[None], localizer.frustum, 4, "rays")
+    with torch.no_grad():
+        ground = localizer.model.encode_ground(localizer._ground(images[0]))
+        aerial = localizer.encode_aerial(images[1]).features
+        attention = localizer.model.attend(aerial, ground)
+        score = score_masks(ground, aerial, attention, masks[None])
+    assert refined.score == pytest.approx(score.item(), abs=1e-6)
+    assert [mode.score for mode in refined.modes] == sorted(
+        (mode.score for mode in refined.modes), reverse=True
+    )
+
+
+@pytest.mark.parametrize("refine", ["mean", "fine", "continuous"])
+def test_a_refined_estimate_keeps_to_the_priors(localizer, images, refine):
+    for mode in localizer.localize(*images, (0, 20), (0.1, 0.125, 0.05), refine=refine).modes:
+        assert abs((mode.pose[2] + 180) % 360 - 180) <= 20 + 1e-9
+        assert np.hypot(mode.pose[0] - 0.1, mode.pose[1] - 0.125) <= 0.05 + 1e-9
+    aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine=refine)
+    assert {mode.pose[2] for mode in aligned.modes} == {45.0}
+    assert len({mode.pose[0] for mode in aligned.modes}) > 1
+
+
+def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localizer, images):
+    grid = localizer.localize(*images, refine="none")
+    mean = localizer.localize(*images, refine="mean")
+    poses = grid.grid.poses()
+    some = near(grid.pose, poses, grid.grid)
+    weights = grid.probabilities.ravel()[some]
+    expected = weights @ poses[some, :2] / weights.sum()
+    np.testing.assert_allclose(mean.pose[:2], expected, atol=1e-12)
+    turns = (poses[some, 2] - grid.pose[2] + 180) % 360 - 180
+    turn = weights @ turns / weights.sum()
+    assert mean.pose[2] == pytest.approx((grid.pose[2] + turn) % 360)
+    assert len(mean.modes) == len(grid.modes)
+    aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine="mean")
+    assert {mode.pose[2] for mode in aligned.modes} == {45.0}
+
+
+def test_probabilities_sum_to_one_and_modes_share_them(localizer, images):
+    estimate = localizer.localize(*images, heading_prior_deg=(0, 100))
+    assert estimate.probabilities.shape == (4, 5, 8)
+    assert estimate.probabilities.sum() == pytest.approx(1)
+    assert (estimate.probabilities[..., 3:6] == 0).all()
+    np.testing.assert_allclose(estimate.place_map.sum(), 1)
+    assert 0 < sum(mode.probability for mode in estimate.modes) <= 1 + 1e-9
+    expected = torch.from_numpy(estimate.scores / estimate.temperature).flatten().softmax(0)
+    np.testing.assert_allclose(estimate.probabilities.ravel(), expected, atol=1e-6)
+
+
+def test_a_fitted_temperature_is_used(run, vigor, cache, images, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "run")
+    loss = Localizer.load(copy, cache=cache, device="cpu")
+    assert (loss.temperature, loss.calibrated) == (0.1, False)
+    (copy / "calibration.json").write_text('{"temperature": 0.025}')
+    fitted = Localizer.load(copy, cache=cache, device="cpu")
+    assert (fitted.temperature, fitted.calibrated) == (0.025, True)
+    one, other = (some.localize(*images).probabilities for some in (loss, fitted))
+    assert other.max() > one.max()
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"temperature": 0}', '{"temperature": NaN}', "{}"])
+def test_a_spoilt_calibration_is_refused(run, cache, tmp_path, content):
+    copy = shutil.copytree(run, tmp_path / "run")
+    (copy / "calibration.json").write_text(content)
+    with pytest.raises(RunError, match=r"calibration.json: holds no temperature"):
+        Localizer.load(copy, cache=cache, device="cpu")
+
+
+def test_a_refinement_of_another_name_is_refused(localizer, run, cache, images):
+    with pytest.raises(ConfigError, match="refine is 'coarse'; it must be one of none, mean, fine"):
+        localizer.localize(*images, refine="coarse")
+    with pytest.raises(ConfigError, match="refine is 'coarse'"):
+        Localizer.load(run, cache=cache, device="cpu", refine="coarse")
+
+
 def test_a_run_is_timed_on_its_own_grid_or_another(run, cache):
     assert time_run(run, cache=cache, device="cpu", runs=1).poses == 4 * 5 * 8
     timings = time_run(run, grid="2x2x4", cache=cache, device="cpu", batch_size=2, runs=1)
     assert (timings.poses, timings.batch_size) == (16, 2)
 
 
-def test_offsets_in_metres():
-    estimate = Estimate(
-        np.array([0.75, 0.25, 90.0]), 0.5, np.zeros((1, 1, 1)), PoseGrid(1, 1, 1), 640
+def test_offsets_in_metres_and_on_the_globe():
+    modes = (
+        Mode(np.array([0.75, 0.25, 90.0]), 0.5, 0.75),
+        Mode(np.array([0.5, 0.5, 0.0]), 0.25, 0.25),
     )
+    estimate = Estimate(modes, np.zeros((1, 1, 1)), PoseGrid(1, 1, 1), 640, 0.1)
     assert estimate.offset_m(0.1) == (16.0, 16.0)
     assert estimate.as_dict(0.1) == {
-        "u": 0.75, "v": 0.25, "heading_deg": 90.0, "score": 0.5, "east_m": 16.0, "north_m": 16.0,
+        "u": 0.75, "v": 0.25, "heading_deg": 90.0, "score": 0.5, "probability": 0.75,
+        "east_m": 16.0, "north_m": 16.0, "covariance": [[0.0] * 3] * 3, "temperature": 0.1,
+        "other_modes": [
+            {"u": 0.5, "v": 0.5, "heading_deg": 0.0, "score": 0.25, "probability": 0.25,
+             "east_m": 0.0, "north_m": 0.0},
+        ],
     }  # fmt: skip
+    placed = estimate.as_dict(0.1, (52.0, 4.0))
+    assert placed["latitude"] == pytest.approx(52 + 16 / 111_260, abs=2e-6)
+    assert placed["longitude"] == pytest.approx(4 + 16 / 68_680, abs=2e-6)
+    assert placed["other_modes"][0]["latitude"] == pytest.approx(52.0)
     with pytest.raises(ConfigError, match="metres per pixel is -1"):
         estimate.offset_m(-1)
+    with pytest.raises(ConfigError, match="give its metres per pixel too"):
+        estimate.as_dict(centre=(52.0, 4.0))
 
 
 def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
-    evaluation, folder = evaluate(run, cache=cache, device="cpu")
+    evaluation, folder = evaluate(run, cache=cache, device="cpu", refine="none")
     assert folder == run / "evaluation" / "same-area_test_4x5x8_best"
     assert {path.name for path in folder.iterdir()} == {
         "result.json", "samples.csv", "errors.png", "best.png", "median.png", "worst.png",
@@ -206,15 +306,39 @@ def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
     assert f"{result['floor']['place_median_m']:.2f} m" in report
 
     with pytest.raises(RunError, match="holds results already"):
-        evaluate(run, cache=cache, device="cpu")
-    again, _ = evaluate(run, cache=cache, device="cpu", overwrite=True)
+        evaluate(run, cache=cache, device="cpu", refine="none")
+    again, _ = evaluate(run, cache=cache, device="cpu", overwrite=True, refine="none")
     np.testing.assert_array_equal(again.truths, evaluation.truths)
     np.testing.assert_array_equal(again.estimates, evaluation.estimates)
 
 
+def test_a_refined_evaluation_is_what_localising_gives(run, cache, vigor):
+    evaluation, folder = evaluate(run, cache=cache, device="cpu", refine="fine")
+    assert folder == run / "evaluation" / "same-area_test_4x5x8_best_fine"
+    result = json.loads((folder / "result.json").read_text())
+    assert (result["refine"], result["calibrated"], result["temperature"]) == ("fine", False, 0.1)
+    assert "refine fine" in evaluation.report()
+    assert "temperature 0.1 (the loss's tau, none is fitted)" in evaluation.report()
+    grid = PoseGrid.parse("4x5x8").poses()
+    assert not (evaluation.estimates[:, None] == grid).all(axis=2).any()
+
+    # The floor is still that of the grid; calibration is that of the samples.
+    unrefined, _ = evaluate(run, cache=cache, device="cpu", refine="none", overwrite=True)
+    assert result["floor"] == unrefined.floor.summary()
+    assert (evaluation.scores >= unrefined.scores).all()
+    samples, sure = result["per_sample"], result["calibration"]
+    assert sure["mean_probability"] == pytest.approx(np.mean([s["probability"] for s in samples]))
+    assert sure["share_near"] == np.mean([s["near"] for s in samples])
+    assert sure["share_in_region"] == np.mean([s["in_region"] for s in samples])
+    for sample in samples:
+        metres = 0.1 * 0.111262 * 640
+        close = sample["error_place_m"] <= 1.5 / 4 * 10 * metres
+        assert sample["near"] == (close and sample["error_heading_deg"] <= 1.5 * 45)
+
+
 def test_an_evaluation_of_some_samples_takes_them_from_all_over(run, cache):
-    whole, _ = evaluate(run, cache=cache, device="cpu", overwrite=True)
-    some, folder = evaluate(run, limit=3, cache=cache, device="cpu")
+    whole, _ = evaluate(run, cache=cache, device="cpu", overwrite=True, refine="none")
+    some, folder = evaluate(run, limit=3, cache=cache, device="cpu", refine="none")
     assert folder.name == "same-area_test_4x5x8_best_3"
     assert some.names == whole.names[::2]
     np.testing.assert_array_equal(some.estimates, whole.estimates[::2])
@@ -234,3 +358,67 @@ def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
     assert "1 samples could not be read" in evaluation.report()
     (fault,) = json.loads((folder / "result.json").read_text())["bad_samples"].values()
     assert str(broken) in fault
+
+
+@pytest.fixture
+def slicemask(run, cache):
+    """Run a command on the run's banks; give its result."""
+
+    def invoke(command, *arguments):
+        arguments = [command, str(run), "--cache", str(cache), "--device", "cpu", *arguments]
+        return CliRunner().invoke(cli.main, [str(argument) for argument in arguments])
+
+    return invoke
+
+
+def test_predict_writes_geojson_and_says_how_sure_it_is(slicemask, images, localizer, tmp_path):
+    pair = ["--ground", images[0], "--aerial", images[1]]
+    place = ["--centre", "41.8,-87.6", "--metres-per-pixel", "0.9"]
+    out = tmp_path / "pose.geojson"
+    options = [*pair, *place, "--refine", "continuous", "--geojson", out]
+    content = json.loads(slicemask("predict", *options, "--json").stdout)
+    expected = localizer.localize(*images, refine="continuous", metres_per_pixel=0.9)
+    assert content == {
+        **expected.as_dict(0.9, (41.8, -87.6)), "refine": "continuous", "geojson": str(out),
+    }  # fmt: skip
+    point, area = json.loads(out.read_text())["features"]
+    assert point["geometry"]["coordinates"] == [content["longitude"], content["latitude"]]
+    assert area["geometry"]["type"] == "Polygon"
+
+    text = slicemask("predict", *options).stdout
+    assert f"latitude {content['latitude']:.7f}" in text
+    assert f"probability {content['probability']:.1%} (uncalibrated), standard dev" in text
+    assert str(out) in text.splitlines()
+    assert "of the tile east" in slicemask("predict", *pair, "--refine", "none").stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--geojson", "{0}/a.geojson"], "--geojson needs --centre and --metres-per-pixel"),
+        (["--centre", "1,2"], "--centre needs --metres-per-pixel"),
+        (["--centre", "95,2", "--metres-per-pixel", "1"], "the tile's centre is 95,2"),
+        (["--centre", "5,2", "--metres-per-pixel", "0"], "metres per pixel is 0.0"),
+        (["--centre", "5", "--metres-per-pixel", "1"], "'5' is not lat,lon"),
+        (["--refine", "finest"], "'finest' is not one of"),
+    ],
+)
+def test_predict_says_what_it_lacks(slicemask, images, tmp_path, options, said):
+    options = [option.format(tmp_path) for option in options]
+    result = slicemask("predict", "--ground", images[0], "--aerial", images[1], *options)
+    assert result.exit_code != 0
+    assert said in result.stderr
+    assert "Traceback" not in result.output
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["predict", "evaluate"])
+def test_the_commands_default_is_the_librarys(command):
+    text = " ".join(CliRunner().invoke(cli.main, [command, "--help"]).stdout.split())
+    assert f"then gradients. [default: {DEFAULT}]" in text
+
+
+def test_calibrating_a_run_without_a_validation_part(slicemask, run):
+    result = CliRunner().invoke(cli.main, ["calibrate", str(run)])
+    assert result.exit_code == 1
+    assert "was trained with validation_fraction 0" in result.stderr

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from model.calibration import calibrate
 from model.config import TrainConfig
 from model.data.errors import DatasetError
 from model.errors import ConfigError, RunError
@@ -84,6 +85,40 @@ def test_a_run_leaves_what_its_folder_promises(config, tmp_path, cache):
     assert list((run / "tensorboard").glob("events.out.tfevents.*"))
 
 
+def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, cache):
+    run = train(replace(config, epochs=1), tmp_path / "run", cache=cache, progress=False)
+    content = json.loads((run / "calibration.json").read_text())
+    assert (content["samples"], content["grid"], content["checkpoint"]) == (2, "4x4x8", "best")
+    assert content["nll"] <= content["nll_of_tau"]
+    assert Localizer.load(run, cache=cache).temperature == content["temperature"]
+    # Fitted again later it is the same, to another grid another one.
+    (run / "calibration.json").unlink()
+    assert calibrate(run, cache=cache) == content
+    assert calibrate(run, cache=cache, grid="2x2x2")["grid"] == "2x2x2"
+    assert not list(run.glob("*.part"))
+
+    unseen = replace(config, epochs=1, validation_fraction=0.0)
+    run = train(unseen, tmp_path / "other", cache=cache, progress=False)
+    assert not (run / "calibration.json").exists()
+    with pytest.raises(ConfigError, match="was trained with validation_fraction 0"):
+        calibrate(run, cache=cache)
+
+
+def test_jitter_and_near_negatives_change_the_losses(config, tmp_path, cache):
+    config = replace(config, epochs=1)
+    losses = {
+        metrics(train(replace(config, **settings), tmp_path / name, cache=cache, progress=False))[
+            0
+        ]["train/loss"]
+        for name, settings in (
+            ("plain", {}),
+            ("jitter", {"grid_jitter": True}),
+            ("near", {"near_negatives": 2}),
+        )
+    }
+    assert len(losses) == 3
+
+
 class Killed(BaseException):
     """What a kill is to the process: nothing in it catches this."""
 
@@ -95,6 +130,7 @@ class Killed(BaseException):
         (2, {"workers": 0}),
         (2, {"workers": 1}),
         (2, {"schedule": "one-cycle", "augment": True}),
+        (2, {"grid_jitter": True, "near_negatives": 2}),
     ],
 )
 def test_a_killed_run_resumes_with_the_same_losses(
@@ -180,6 +216,8 @@ def test_training_without_validation_keeps_the_checkpoint_of_least_loss(config, 
         {"heading_prior_deg": 0.0, "train_grid": "3x3x1", "test_grid": "4x4x1"},
         {"heading_prior_deg": 45.0, "place_prior": (0.5, 0.5, 0.4)},
         {"cross_view_attention": False, "alpha": None},
+        {"grid_jitter": True, "near_negatives": 3},
+        {"grid_jitter": True, "near_negatives": 3, "heading_prior_deg": 0.0},
     ],
 )
 def test_priors_and_ablations_train(config, tmp_path, cache, settings):

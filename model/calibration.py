@@ -1,0 +1,111 @@
+"""Fitting the temperature of a run's scores on its validation part."""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Subset
+
+from model.data import BadSamples, collate
+from model.errors import ConfigError
+from model.evaluation import spread
+from model.localizer import Localizer
+from model.metrics import nearest_candidates
+from model.runs import Checkpoint, RunFolder
+from model.uncertainty import fit_temperature, mean_nll
+
+# Samples that a temperature is fitted to, at most: evenly taken from the validation part.
+MOST_SAMPLES = 1000
+
+
+def calibrate(
+    run: str | Path,
+    *,
+    grid: str | None = None,
+    root: str | None = None,
+    checkpoint: Checkpoint = "best",
+    device: str = "auto",
+    workers: int | None = None,
+    cache: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Fit the temperature under which the true poses of the validation part are likeliest.
+
+    Training does this at its end; for older runs it can be done at any time.
+
+    Parameters
+    ----------
+    run : path
+        A run folder. Its ``calibration.json`` is written, or replaced.
+    grid : str, optional
+        Candidates such as "21x21x64"; the run's test grid by default.
+    root : str, optional
+        Where the data lie, if not where they lay in training.
+    checkpoint, device, workers, cache, progress
+        As in `model.evaluation.evaluate`.
+
+    Returns
+    -------
+    content : dict
+        What was written: the temperature, the mean negative log-likelihood ("nll") of the true
+        candidates under it and under the loss's tau, and what it was fitted to.
+
+    Raises
+    ------
+    RunError
+        If the run cannot be loaded.
+    ConfigError, DatasetError
+        If the run has no validation part, or its data cannot be read.
+    """
+    folder = RunFolder(Path(run))
+    localizer = Localizer.load(
+        run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
+    )
+    config = localizer.config
+    if config.validation_fraction == 0:
+        raise ConfigError(
+            f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
+            "temperature to; without one the loss's tau is used"
+        )
+    dataset = config.dataset("validation", root)
+    chosen = spread(len(dataset), MOST_SAMPLES)
+    loader = DataLoader(
+        Subset(dataset, chosen),
+        config.batch_size,
+        num_workers=config.workers if workers is None else workers,
+        collate_fn=collate,
+    )
+    candidates = localizer.within()
+    scores: list[np.ndarray] = []
+    truths: list[np.ndarray] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        dataset.bad_samples = BadSamples(Path(scratch, "bad_samples.jsonl"), config.bad_samples)
+        for batch in loader:
+            if batch is not None:
+                images = (batch[kind].to(localizer.device) for kind in ("ground", "aerial"))
+                with torch.no_grad():
+                    scores.append(localizer.model(*images, candidates).float().cpu().numpy())
+                truths.append(nearest_candidates(candidates.poses, batch["pose"].numpy()))
+            if progress is not None:
+                progress(sum(map(len, scores)), len(chosen))
+    if not scores:
+        raise ConfigError(f"{run}: none of the {len(chosen)} validation samples can be read")
+    all_scores, all_truths = np.concatenate(scores), np.concatenate(truths)
+    temperature, nll = fit_temperature(all_scores, all_truths)
+    content = {
+        "temperature": temperature,
+        "nll": nll,
+        "nll_of_tau": mean_nll(all_scores, all_truths, config.tau),
+        "samples": len(all_truths),
+        "grid": str(localizer.grid),
+        "checkpoint": checkpoint,
+    }
+    part = folder.calibration_file.with_suffix(".json.part")
+    part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    os.replace(part, folder.calibration_file)
+    return content
