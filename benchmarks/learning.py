@@ -56,7 +56,7 @@ NAMES = {
     "n16_alphaK": "N = 16, alpha = K",
     "n16_nocva": "N = 16, no cross-view attention",
 }
-TEST = ("--grid", "21x21x64", "--checkpoint", "last", "--limit", "200")
+TEST = ("--grid", "21x21x64", "--refine", "none", "--checkpoint", "last", "--limit", "400")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -88,7 +88,7 @@ def _slicemask(*arguments: str, threads: int | None = None) -> dict[str, float]:
     click.echo("slicemask " + " ".join(arguments), err=True)
     environment = os.environ | ({} if threads is None else {"OMP_NUM_THREADS": str(threads)})
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([sys.executable, "-m", "cli", *arguments], check=True, env=environment, cwd=ROOT)
+    subprocess.run([sys.executable, "-m", "cli", *arguments], check=True, env=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {"wall_s": round(time.perf_counter() - start), "processor_s": round(processor)}
