@@ -34,8 +34,6 @@ FINEST_M, FINEST_SHARE, FINEST_DEG = 0.25, 1 / 256, 0.5
 REACH, REACH_DEG = 0.1, 30.0
 # Evaluations of a score with its gradient in one climb.
 _MOST_EVALUATIONS = 30
-# Shares of a cell below this are rounding noise.
-_NEGLIGIBLE = 1e-10
 
 # Scores [K] of poses [K, 3], float64; differentiable in the poses where gradients are asked for.
 Score = Callable[[Tensor], Tensor]
@@ -327,7 +325,7 @@ class Similarity:
         with torch.autocast(device.type, enabled=False):
             ground = self.ground.float()
             masks = slice_masks(poses.to(device), self.frustum, cells, engine="rays").flatten(2)
-            masks = torch.where(masks > _NEGLIGIBLE, masks, 0.0).float()  # [K, N, L * L]
+            masks = masks.float()  # [K, N, L * L]
             columns = self.features.flatten(1).T  # [L * L, C]
             attention = self.attention.flatten(1)
             dots, there = ground.new_zeros(len(poses)), ground.new_zeros(len(poses))

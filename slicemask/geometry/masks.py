@@ -63,9 +63,8 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     -------
     masks : float64 [K, N, L, L]
         The share of cell (row, column) that slice n of pose k covers, in [0, 1]; an all-zero
-        mask where a slice misses the tile. NumPy results hold no rounding noise: shares within
-        1e-10 of 0 or 1 are 0 or 1. Differentiable ones may stray from [0, 1] by some 1e-13
-        (float64).
+        mask where a slice misses the tile. Rounding noise is no share: what is below 1e-10 is 0.
+        NumPy results are 1 within 1e-10 of it, too; others may exceed 1 by some 1e-13 (float64).
 
     Raises
     ------
@@ -131,4 +130,5 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
     left, right = (xp.reshape(side, (-1,)) for side in (edges[:, :-1], edges[:, 1:]))
     widest_deg = float(np.diff(frustum.edge_offsets_deg()).max())
     fractions = engine_fractions("rays")(u, v, left, right, cells, widest_deg)
+    fractions = xp.where(fractions < _NEGLIGIBLE, xp.zeros_like(fractions), fractions)
     return xp.astype(xp.reshape(fractions, (*shape, cells, cells)), dtype)

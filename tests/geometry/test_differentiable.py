@@ -51,6 +51,16 @@ def test_gradients_hold_where_an_edge_is_a_diagonal_or_along_the_axes(heading):
         )
 
 
+def test_a_slice_that_misses_the_tile_is_empty_and_not_noise():
+    # From the tile's edge, looking away from it.
+    rng = np.random.default_rng(3)
+    poses = np.column_stack([rng.random(200), np.zeros(200), rng.uniform(-40, 40, 200)])
+    frustum = Frustum(81.5, 16, "pinhole")
+    masks = slice_masks(torch.tensor(poses), frustum, 16, "rays")
+    assert torch.equal(masks == 0, torch.tensor(slice_masks(poses, frustum, 16) == 0))
+    assert (masks == 0).all(dim=(2, 3)).sum() > 2000
+
+
 @pytest.mark.parametrize("dtype", [torch.int64, torch.float16])
 def test_tensors_that_are_not_fine_enough_are_refused(dtype):
     with pytest.raises(PoseError, match="float32 or float64"):
