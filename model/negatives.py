@@ -59,10 +59,10 @@ def jittered_candidates(
     return jittered
 
 
-def near_poses(
-    truths: Tensor, count: int, grid: PoseGrid, domain: Domain, generator: torch.Generator
-) -> Tensor:
+def near_poses(truths: Tensor, count: int, grid: PoseGrid, domain: Domain) -> Tensor:
     """Poses at random within one step of the grid of true ones, to either side along each axis.
+
+    Drawn from torch's own random state, on the CPU.
 
     Parameters
     ----------
@@ -74,13 +74,11 @@ def near_poses(
         The training grid.
     domain : Domain
         Which the poses do not leave.
-    generator : torch.Generator
-        Of the CPU.
 
     Returns
     -------
     poses : float64 [B, count, 3]
     """
-    shares = torch.rand(len(truths), count, 3, dtype=truths.dtype, generator=generator)
+    shares = torch.rand(len(truths), count, 3, dtype=truths.dtype, device="cpu")
     offsets = (2.0 * shares - 1.0).to(truths) * truths.new_tensor(grid_steps(grid))
     return domain.project((truths[:, None] + offsets).flatten(0, 1)).unflatten(0, (-1, count))

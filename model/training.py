@@ -290,10 +290,7 @@ class TrainingModule(lightning.LightningModule):
         """Let the epoch's draws depend on the seed and the epoch's number alone."""
         self.trainer.datamodule.training.set_epoch(self.current_epoch)
         state = [self.config.seed, self.current_epoch, self.global_rank]
-        seed = int(np.random.SeedSequence(state).generate_state(1)[0])
-        torch.manual_seed(seed)
-        # Of its own: the loaders draw from the global one, before or after this.
-        self.generator = torch.Generator().manual_seed(seed)
+        torch.manual_seed(int(np.random.SeedSequence(state).generate_state(1)[0]))
 
     def training_step(self, batch: dict[str, Any], _: int) -> Tensor:
         """Loss of a batch: the exact true pose against the training grid (eq. 1)."""
@@ -309,7 +306,6 @@ class TrainingModule(lightning.LightningModule):
                 self.config.near_negatives,
                 self.train_grid,
                 self.domain,
-                self.generator,
             )
             masks = slice_masks(near.flatten(0, 1), self.frustum, self.model.cells, engine="rays")
             masks = masks.unflatten(0, near.shape[:2])
@@ -331,7 +327,7 @@ class TrainingModule(lightning.LightningModule):
         if not self.jittered_candidates:
             return self.train_candidates
         count = len(self.jittered_candidates)
-        return self.jittered_candidates[int(torch.randint(count, (), generator=self.generator))]
+        return self.jittered_candidates[int(torch.randint(count, ()))]
 
     def validation_step(self, batch: dict[str, Any] | None, _: int) -> None:
         """Estimates of a batch on the test grid."""
@@ -402,6 +398,9 @@ class _Data(lightning.LightningDataModule):
             sampler=sampler,
             num_workers=self.config.workers,
             collate_fn=collate,
+            # Its own: a loader made before or after an epoch is seeded would move what a model
+            # with dropout draws in it.
+            generator=torch.Generator().manual_seed(self.config.seed),
             pin_memory=torch.cuda.is_available(),
         )
 
