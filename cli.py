@@ -460,14 +460,22 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+_run = click.argument("run")
+_grid = click.option("--grid", metavar="RxCxH", help="Candidates.  [default: the run's test grid]")
+_checkpoint = click.option(
+    "--checkpoint", type=click.Choice(["best", "last"]), default="best", show_default=True
+)
+_device = click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ...")
+_root = click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
+_workers = click.option(
+    "--workers", type=int, help="Processes that load images.  [default: the run's]"
+)
 _run_options = (
-    click.argument("run"),
-    click.option("--grid", metavar="RxCxH", help="Candidates.  [default: the run's test grid]"),
+    _run,
+    _grid,
     click.option("--bank", metavar="FILE", help="A bank of candidates instead."),
-    click.option(
-        "--checkpoint", type=click.Choice(["best", "last"]), default="best", show_default=True
-    ),
-    click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ..."),
+    _checkpoint,
+    _device,
     _cache,
 )
 
@@ -543,11 +551,11 @@ def train(
     show_default=True,
     help="Part of the data set.",
 )
-@click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
+@_root
 @click.option("--limit", type=int, help="Only so many samples, spread evenly.  [default: all]")
 @click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
-@click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")
+@_workers
 @_refine
 @_as_json
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
@@ -562,11 +570,12 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
 
 
 @main.command()
-@click.argument("run")
-@click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
-@click.option("--grid", metavar="RxCxH", help="Candidates.  [default: the run's test grid]")
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ...")
-@click.option("--workers", type=int, help="Processes that load images.  [default: the run's]")
+@_run
+@_root
+@_grid
+@_checkpoint
+@_device
+@_workers
 @_cache
 @_as_json
 def calibrate(run: str, as_json: bool, **options: Any) -> None:
@@ -622,28 +631,42 @@ def predict(
 
     if metres_per_pixel is not None:
         check_resolution(metres_per_pixel)
+    # What can be wrong with the request is found before anything is computed or written.
     if centre is not None:
         from model.geo import check_centre
 
         check_centre(centre)
+    if geojson is not None:
+        from model.geo import check_geojson_target
+
+        check_geojson_target(geojson)
+    if out is not None:
+        from slicemask.plot import check_figure_target
+
+        check_figure_target(out)
     localizer = Localizer.load(run, options.pop("bank"), **_given(options))
     estimate = localizer.localize(
         ground, aerial, heading_prior, place_prior, metres_per_pixel=metres_per_pixel
     )
     content = estimate.as_dict(metres_per_pixel, centre) | {"refine": localizer.refine}
     if geojson is not None:
-        from model.geo import feature_collection
+        from model.geo import feature_collection, save_geojson
 
-        collection = feature_collection(estimate, centre, metres_per_pixel)
-        Path(geojson).write_text(json.dumps(collection, indent=1) + "\n", encoding="utf-8")
+        save_geojson(feature_collection(estimate, centre, metres_per_pixel), geojson)
         content["geojson"] = geojson
     if out is not None:
+        from model.data import read_image
         from model.drawing import draw_estimate
         from slicemask.plot import read_aerial, save_figure
 
-        tile, frustum = read_aerial(aerial), localizer.frustum
         figure = draw_estimate(
-            tile, estimate.heat_map, estimate.grid, estimate.pose, frustum, truth=truth
+            read_aerial(aerial),
+            estimate.heat_map,
+            estimate.grid,
+            estimate.pose,
+            localizer.frustum,
+            truth=truth,
+            ground=read_image(ground),
         )
         save_figure(figure, out)
         content["picture"] = out

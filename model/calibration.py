@@ -1,7 +1,6 @@
 """Fitting the temperature of a run's scores on its validation part."""
 
 import json
-import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +11,13 @@ import torch
 from torch.utils.data import DataLoader, Subset
 
 from model.data import BadSamples, collate
-from model.errors import ConfigError
+from model.errors import ConfigError, RunError
 from model.evaluation import spread
 from model.localizer import Localizer
 from model.metrics import nearest_candidates
 from model.runs import Checkpoint, RunFolder
 from model.uncertainty import fit_temperature, mean_nll
+from slicemask.files import written_whole
 
 # Samples that a temperature is fitted to, at most: evenly taken from the validation part.
 MOST_SAMPLES = 1000
@@ -105,7 +105,6 @@ def calibrate(
         "grid": str(localizer.grid),
         "checkpoint": checkpoint,
     }
-    part = folder.calibration_file.with_suffix(".json.part")
-    part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    os.replace(part, folder.calibration_file)
+    with written_whole(folder.calibration_file, RunError) as partial:
+        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return content

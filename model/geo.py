@@ -1,6 +1,8 @@
 """Estimates on the globe: latitude and longitude, and GeoJSON (RFC 7946)."""
 
+import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +12,8 @@ from shapely.geometry.polygon import orient
 
 from model.errors import ConfigError
 from model.uncertainty import CONFIDENCE, ellipse
+from slicemask.errors import OutputError
+from slicemask.files import check_target, written_whole
 
 if TYPE_CHECKING:
     from model.localizer import Estimate
@@ -115,6 +119,24 @@ def feature_collection(
             )
         )
     return {"type": "FeatureCollection", "features": features}
+
+
+def save_geojson(collection: dict[str, Any], path: str | Path) -> None:
+    """Write a collection; a file already there is replaced.
+
+    Raises
+    ------
+    OutputError
+        If the suffix is neither ``.geojson`` nor ``.json``, or the file cannot be written;
+        nothing is left behind.
+    """
+    with written_whole(check_geojson_target(path), OutputError) as partial:
+        partial.write_text(json.dumps(collection, indent=1) + "\n", encoding="utf-8")
+
+
+def check_geojson_target(path: str | Path) -> Path:
+    """Return the path of a GeoJSON file to be written, or raise OutputError if it cannot be one."""
+    return check_target(path, (".geojson", ".json"), OutputError)
 
 
 def _feature(geometry: dict[str, Any], **properties: Any) -> dict[str, Any]:

@@ -29,5 +29,9 @@ class PlotError(SlicemaskError, OSError):
     """A picture that cannot be read or written."""
 
 
+class OutputError(SlicemaskError, OSError):
+    """A file of results that cannot be written where it should go."""
+
+
 class SynthError(SlicemaskError, OSError):
     """A generated city that cannot be asked for, or that cannot be written where it should go."""

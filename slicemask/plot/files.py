@@ -1,9 +1,7 @@
 """Picture files: aerial tiles read, figures and animations written whole or not at all."""
 
-import os
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +10,7 @@ from PIL import Image, ImageOps
 from PIL.ImageColor import getrgb
 
 from slicemask.errors import PlotError, SpecError
+from slicemask.files import check_target, written_whole
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, slice_masks
 from slicemask.geometry.numbers import is_whole
@@ -74,6 +73,11 @@ def read_aerial(path: str | Path) -> Image.Image:
     return picture
 
 
+def check_figure_target(path: str | Path) -> Path:
+    """Return the path of a figure to be written, or raise PlotError if it cannot be one."""
+    return check_target(path, FIGURE_SUFFIXES, PlotError)
+
+
 def save_figure(figure: "Figure", path: str | Path) -> None:
     """Write a figure as PNG, SVG or PDF, by the path's suffix; a file already there is replaced.
 
@@ -86,10 +90,13 @@ def save_figure(figure: "Figure", path: str | Path) -> None:
     """
     import matplotlib
 
-    path = check_target(path, FIGURE_SUFFIXES)
+    path = check_figure_target(path)
     form = path.suffix.lower()[1:]
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form)
-    with _written_whole(path) as partial, matplotlib.rc_context({"svg.hashsalt": "slicemask"}):
+    with (
+        written_whole(path, PlotError) as partial,
+        matplotlib.rc_context({"svg.hashsalt": "slicemask"}),
+    ):
         figure.savefig(partial, format=form, dpi=_DOTS_PER_INCH, metadata=metadata)
 
 
@@ -135,7 +142,7 @@ def animate_heading(
     SpecError, PoseError
         If the other arguments cannot be.
     """
-    path = check_target(path, (".gif",))
+    path = check_target(path, (".gif",), PlotError)
     if not is_whole(frames) or not 2 <= frames <= 360:
         raise SpecError(f"frames is {frames!r}; it must be a whole number from 2 to 360")
     u, v, start_deg = check_pose(pose)
@@ -154,7 +161,7 @@ def animate_heading(
             if progress:
                 progress(done, frames)
 
-    with _written_whole(path) as partial:
+    with written_whole(path, PlotError) as partial:
         pictures = drawn()
         next(pictures).save(
             partial,
@@ -216,35 +223,3 @@ def _palette(frames: list[Image.Image]) -> Image.Image:
     palette = Image.new("P", (1, 1))
     palette.putpalette(colours.ravel().tolist())
     return palette
-
-
-def check_target(path: str | Path, suffixes: tuple[str, ...]) -> Path:
-    """Return the path of a picture to be written, or raise PlotError if it cannot be one."""
-    path = Path(path)
-    if path.suffix.lower() not in suffixes:
-        raise PlotError(
-            f"{path}: its suffix is {path.suffix or 'missing'}; name a file that ends in "
-            f"{' or '.join(suffixes)}"
-        )
-    if path.is_dir():
-        raise PlotError(f"{path}: is a folder; name a file")
-    if not path.parent.is_dir():
-        raise PlotError(f"{path.parent}: there is no such folder; make it, or name another")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise PlotError(f"{path.parent}: may not be written to; name another folder")
-    return path
-
-
-@contextmanager
-def _written_whole(path: Path) -> Iterator[Path]:
-    """A name to write to that becomes ``path`` at the end, or is removed on an error."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError as error:
-        raise PlotError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        partial.unlink(missing_ok=True)

@@ -392,11 +392,17 @@ def test_predict_writes_geojson_and_says_how_sure_it_is(slicemask, images, local
     assert "of the tile east" in slicemask("predict", *pair, "--refine", "none").stdout
 
 
+PLACE = ("--centre", "1,2", "--metres-per-pixel", "1")
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         (["--geojson", "{0}/a.geojson"], "--geojson needs --centre and --metres-per-pixel"),
         (["--centre", "1,2"], "--centre needs --metres-per-pixel"),
+        ([*PLACE, "--geojson", "{0}/a.txt"], "its suffix is .txt; name a file that ends in .geo"),
+        ([*PLACE, "--geojson", "{0}/no/a.json"], "there is no such folder"),
+        ([*PLACE, "--geojson", "{0}/a.json", "--out", "{0}/a.bmp"], "its suffix is .bmp"),
         (["--centre", "95,2", "--metres-per-pixel", "1"], "the tile's centre is 95,2"),
         (["--centre", "5,2", "--metres-per-pixel", "0"], "metres per pixel is 0.0"),
         (["--centre", "5", "--metres-per-pixel", "1"], "'5' is not lat,lon"),

@@ -1,0 +1,53 @@
+"""Files that are written whole or not at all."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slicemask.errors import SlicemaskError
+
+
+def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[SlicemaskError]) -> Path:
+    """Return the path of a file to be written, or raise ``error`` if it cannot be one.
+
+    Parameters
+    ----------
+    path : path
+        Where the file is to go.
+    suffixes : tuple of str
+        What its name may end in, such as (".png", ".svg").
+    error : type
+        What to raise.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise error(
+            f"{path}: its suffix is {path.suffix or 'missing'}; name a file that ends in "
+            f"{' or '.join(suffixes)}"
+        )
+    if path.is_dir():
+        raise error(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise error(f"{path.parent}: there is no such folder; make it, or name another")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise error(f"{path.parent}: may not be written to; name another folder")
+    return path
+
+
+@contextmanager
+def written_whole(path: Path, error: type[SlicemaskError]) -> Iterator[Path]:
+    """A name to write to that becomes ``path`` at the end, or is removed on an error.
+
+    Raises ``error`` if the file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as reason:
+        raise error(f"{path}: cannot be written: {reason.strerror or reason}") from reason
+    finally:
+        partial.unlink(missing_ok=True)
