@@ -484,7 +484,7 @@ _refine = click.option(
     "--refine",
     type=click.Choice(["none", "mean", "fine", "continuous"]),
     help="The best candidate, the mean of those around it, coarse to fine around the best ones, "
-    "or that and then gradients.  [default: fine]",
+    "or that and then gradients.  [default: mean]",
 )
 
 

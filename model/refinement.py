@@ -23,7 +23,7 @@ from slicemask import Frustum, PoseGrid, slice_masks
 
 Refine = Literal["none", "mean", "fine", "continuous"]
 # What `Localizer`, evaluate and predict do unless they are told otherwise.
-DEFAULT: Refine = "fine"
+DEFAULT: Refine = "mean"
 
 # Modes that are kept, and those of them that gradients climb from.
 MODES, CLIMBED = 5, 2
