@@ -153,8 +153,9 @@ def _draw(found: dict[str, dict]) -> None:
         for axes, key in zip(panels, ("place_median_m", "heading_median_deg"), strict=True):
             values = [point[f"validation/{key}"] for point in row["curve"]]
             axes.plot(epochs, values, "o-", markersize=3, label=NAMES[name])
-    panels[0].set(xlabel="epoch", ylabel="median place error, m", ylim=(0, None))
-    panels[1].set(xlabel="epoch", ylabel="median heading error, degrees", ylim=(0, None))
+    # A row that learns nothing (N = 1) stays above the picture.
+    panels[0].set(xlabel="epoch", ylabel="median place error, m", ylim=(0, 20))
+    panels[1].set(xlabel="epoch", ylabel="median heading error, degrees", ylim=(0, 60))
     for axes in panels:
         axes.grid(alpha=0.3)
     panels[0].legend(fontsize="small")
