@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import filelock
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 import slicemask
 from slicemask.bank.batches import GridSource, ListSource, PoseSource
 from slicemask.bank.cache import bank_path, made_folder
+from slicemask.bank.lock import only_builder
 from slicemask.bank.read import open_bank
 from slicemask.bank.rows import cut, in_order, mask_rows
 from slicemask.bank.seal import has_seal
@@ -149,15 +149,11 @@ def _build_locked(
     progress: Progress | None,
 ) -> BuildResult:
     """Build the bank as its only builder: a second one waits here, and then finds the bank."""
-    lock = path.with_name(f".{path.name}.lock")
-    with filelock.FileLock(lock):
-        try:
-            rows = _reusable_rows(path, spec, force)
-            if rows is not None:
-                return BuildResult(path, reused=True, rows=rows)
-            return BuildResult(path, False, _build(path, spec, source, jobs, progress))
-        finally:
-            lock.unlink(missing_ok=True)
+    with only_builder(path):
+        rows = _reusable_rows(path, spec, force)
+        if rows is not None:
+            return BuildResult(path, reused=True, rows=rows)
+        return BuildResult(path, False, _build(path, spec, source, jobs, progress))
 
 
 def _versions(engine: Engine) -> dict[str, str]:
