@@ -1,8 +1,10 @@
 """The slicemask command: parse, call the library once, print."""
 
 import errno
+import gc
 import importlib.util
 import json
+import os
 import signal
 import sys
 import time
@@ -13,6 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+
+# Builds have threads of their own and multiply no matrices. OpenBLAS's, which NumPy starts, would
+# only spin beside them.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import slicemask
 from slicemask import Frustum, PoseGrid, SlicemaskError
@@ -26,6 +32,9 @@ class _Group(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+        # What was imported is no garbage; to look for some in it, again at the end above all,
+        # takes as long as a tenth of a build.
+        gc.freeze()
         try:
             return super().invoke(ctx)
         except SlicemaskError as error:

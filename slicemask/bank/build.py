@@ -4,12 +4,12 @@ import contextlib
 import functools
 import os
 import tempfile
-import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import deflate
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -162,7 +162,7 @@ def _versions(engine: Engine) -> dict[str, str]:
         "numpy": np.__version__,
         "h5py": h5py.__version__,
         "hdf5": h5py.version.hdf5_version,
-        "zlib": zlib.ZLIB_RUNTIME_VERSION,
+        "deflate": deflate.__version__,
     }
     if engine == "shapely":
         import shapely

@@ -102,7 +102,8 @@ class BankWriter:
 
     def __enter__(self) -> "BankWriter":
         try:
-            self._do(self._begin)
+            # The first masks are planned meanwhile; the next step waits for it.
+            self._begun = self._thread.submit(self._begin)
         except BaseException:
             self._discard()
             raise
@@ -113,6 +114,7 @@ class BankWriter:
 
         Ctrl-C raises wherever the main thread is; it must not do so in a call that HDF5 makes.
         """
+        self._begun.result()
         self._thread.submit(action, *values).result()
         if self._sink is not None and self._sink.error is not None:
             raise self._sink.error
