@@ -31,6 +31,9 @@ from slicemask.geometry.azimuths import direction
 _NUMPY_VALUES = 35_000
 _OTHER_VALUES = 90_000
 _PARALLEL = 1e-30
+# Sectors are cut before they are 180 degrees wide, which rounding of their edges could make of a
+# little less.
+_WIDEST_DEG = 179.9
 
 
 def sector_fractions(
@@ -65,7 +68,7 @@ def sector_fractions(
     # A sector of 180 degrees or more can cut a line twice: cut it into narrower ones.
     if widest_deg is None:
         widest_deg = float(xp.max(right_deg - left_deg))
-    parts = math.floor(widest_deg / 180.0) + 1
+    parts = math.floor(widest_deg / _WIDEST_DEG) + 1
     fractions = None
     start_deg = left_deg
     for part in range(1, parts + 1):

@@ -51,6 +51,16 @@ def test_gradients_hold_where_an_edge_is_a_diagonal_or_along_the_axes(heading):
         )
 
 
+@pytest.mark.parametrize("hfov", [180.0, 360.0])
+def test_slices_a_hair_narrower_than_a_half_turn_are_whole(hfov):
+    # Adding a heading to their edges rounds them to 180 degrees.
+    poses = np.array([[0.5, 0.5, heading] for heading in np.arange(0.0, 360.0, 22.5)])
+    for slices in {1, round(hfov / 180.0)}:
+        frustum = Frustum(np.nextafter(hfov, 0.0), slices)
+        masks = slice_masks(torch.tensor(poses), frustum, 4, "rays").numpy()
+        assert np.abs(masks - slice_masks(poses, frustum, 4)).max() <= 1e-9
+
+
 def test_a_slice_that_misses_the_tile_is_empty_and_not_noise():
     # From the tile's edge, looking away from it.
     rng = np.random.default_rng(3)
