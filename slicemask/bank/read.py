@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 # Up to this many poses, `masks` reads their rows of the index one by one.
 _FEW_POSES = 64
+# Reading this many rows too many costs less than another read.
+_NEAR_ROWS = 64
 # What h5py raises at a damaged file.
 _HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
 # The most values of a stored chunk. HDF5 unpacks chunks whole, so this bounds the memory that a
@@ -112,7 +114,7 @@ class Bank:
     def masks(self, pose: int | ArrayLike) -> NDArray[np.float32]:
         """Masks of one pose, float32 [N, L, L], or of several, [..., N, L, L].
 
-        Reads only the stored chunks that hold these poses' rows.
+        Reads only the parts of the file that hold these poses' rows.
 
         Parameters
         ----------
@@ -135,10 +137,10 @@ class Bank:
         rows, place = np.unique(self._rows_of(asked.ravel()), return_inverse=True)
         cells = self.spec.cells
         dense = np.zeros((len(rows), cells * cells), dtype=np.float32)
-        # Runs of consecutive rows are read together.
-        for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1) + 1):
+        # Rows that lie close together are read together, with those between them.
+        for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > _NEAR_ROWS) + 1):
             if len(run):
-                self._fill(dense[run[0] : run[-1] + 1], int(rows[run[0]]))
+                self._fill(dense[run[0] : run[-1] + 1], rows[run])
         return dense[place.ravel()].reshape(*asked.shape, self.spec.frustum.slices, cells, cells)
 
     def _rows_of(self, poses: NDArray[np.integer[Any]]) -> NDArray[Any]:
@@ -154,16 +156,20 @@ class Bank:
         if index.size and not 0 <= int(index.min()) <= int(index.max()) < self.rows:
             raise self._fault("/index", f"rows from 0 to {self.rows - 1}", "others")
 
-    def _fill(self, dense: NDArray[np.float32], first: int) -> None:
-        """Read rows first, first + 1, ... into dense [r, L * L]."""
-        indptr = self._read("masks/indptr", slice(first, first + len(dense) + 1))
+    def _fill(self, dense: NDArray[np.float32], rows: NDArray[Any]) -> None:
+        """Read rows [r], ascending, into dense [r, L * L]."""
+        first, last = int(rows[0]), int(rows[-1])
+        indptr = self._read("masks/indptr", slice(first, last + 2))
         stored = slice(int(indptr[0]), int(indptr[-1]))
         if not 0 <= stored.start <= stored.stop <= self.nonzeros:
             raise self._fault("/masks/indptr", "row starts in order", "others")
         data, indices = self._read("masks/data", stored), self._read("masks/indices", stored)
         self._check_rows(data, indices, indptr, stored.start)
-        row = np.repeat(np.arange(len(dense)), np.diff(indptr))
-        dense[row, indices] = data
+        number = np.full(last + 1 - first, -1)  # of the rows asked for; -1 between them
+        number[rows - first] = np.arange(len(rows))
+        row = np.repeat(number, np.diff(indptr))
+        asked = row >= 0
+        dense[row[asked], indices[asked]] = data[asked]
 
     def _read(self, name: str, some: slice = slice(None)) -> NDArray[Any]:
         if not self._file:

@@ -15,7 +15,7 @@ from slicemask.geometry.masks import Engine, slice_masks
 # Half a unit in the last place of a float32 below 1, and what two engines may differ by.
 TOLERANCE = 2.0**-25 + 1e-9
 
-_BATCH_VALUES = 1 << 22
+_BATCH_VALUES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ def verify_bank(
     parts = [chosen[start : start + step] for start in range(0, count, step)]
     largest, wrong, first = 0.0, 0, None
     done = 0
-    with ThreadPoolExecutor(thread_count(jobs)) as pool:
+    pool = ThreadPoolExecutor(min(thread_count(jobs), len(parts)))
+    try:
         for part, difference in zip(parts, pool.map(differences, parts), strict=True):
             largest = max(largest, float(difference.max()))
             faulty = np.argwhere(~(difference <= TOLERANCE))
@@ -117,4 +118,7 @@ def verify_bank(
             done += len(part)
             if progress:
                 progress(done, count)
+    finally:
+        # After an error or an interrupt, what no thread has begun is dropped.
+        pool.shutdown(cancel_futures=True)
     return Verification(engine, count, count * slices, largest, wrong, first)
