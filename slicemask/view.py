@@ -1,5 +1,7 @@
 """One pose to look at, with its masks: any pose, or one of a bank."""
 
+import re
+import reprlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,8 @@ from slicemask.errors import PoseError
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import slice_masks
 from slicemask.geometry.poses import check_poses
+
+_INDEX = re.compile(r"\s*[0-9]{1,18}\s*")
 
 
 @dataclass(frozen=True)
@@ -88,9 +92,9 @@ def view_of_bank(
 def _pose_index(bank: Bank, text: str) -> int:
     grid = bank.spec.grid
     numbers = text.split(",")
-    if not all(part.strip().isdecimal() for part in numbers) or len(numbers) not in (1, 3):
+    if len(numbers) not in (1, 3) or not all(_INDEX.fullmatch(part) for part in numbers):
         raise PoseError(
-            f"pose is {text!r}; it must be row,column,heading such as 10,10,8, or a pose index"
+            f"pose is {reprlib.repr(text)}; it must be row,column,heading such as 10,10,8, or a pose index"
         )
     if len(numbers) == 1:
         k = int(numbers[0])

@@ -227,6 +227,7 @@ def test_visualize_the_newest_bank_and_any_pose(run, tmp_path, bank):
         (["--pose", "9,9,9"], "pose 9,9,9 is not in the grid 3x3x8"),
         (["--pose", "72"], "pose 72 is not in the bank"),
         (["--pose", "1,2"], "pose is '1,2'"),
+        (["--pose", "9" * 5000], "row,column,heading"),
         (["--hfov", "90"], "--hfov belongs to --at"),
         (["--at", "0.5,0.5"], "'0.5,0.5' is not u,v,heading_deg"),
         (["--at", "0.5,1.5,0"], "outside the tile"),

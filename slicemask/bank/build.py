@@ -179,7 +179,14 @@ def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
     if not path.exists():
         return None
     if path.is_file():
-        if not has_seal(path):
+        try:
+            sealed = has_seal(path)
+        except OSError as error:
+            raise BankExistsError(
+                f"{path}: exists and cannot be read ({error.strerror}), so it is not replaced; "
+                "move it away or name another file with --out"
+            ) from error
+        if not sealed:
             raise BankExistsError(
                 f"{path}: exists and is no slicemask bank, so it is not replaced; move it away "
                 "or name another file with --out"

@@ -32,8 +32,11 @@ def bank_path(
         If ``out`` is a folder, or its folder is missing.
     """
     path = Path(out) if out is not None else cache_folder(cache) / spec.name()
-    folder = path.parent
     try:
+        # Links are followed here, so that the bank replaces the file and not a link to it.
+        if path.is_symlink():
+            path = path.resolve()
+        folder = path.parent
         if path.is_dir():
             raise BankError(f"{path}: is a folder; name a file in it")
         if not folder.is_dir() and (folder.exists() or folder != Path(DEFAULT)):
@@ -42,8 +45,7 @@ def bank_path(
         if isinstance(error, BankError):
             raise
         raise BankError(f"{path}: cannot be: {error.strerror}") from error
-    # Links are followed here, so that the bank replaces the file and not a link to it.
-    return path.resolve() if path.is_symlink() else path
+    return path
 
 
 @contextmanager
@@ -61,7 +63,7 @@ def made_folder(folder: Path) -> Iterator[None]:
 
 
 def newest_bank(cache: str | Path | None = None) -> Path:
-    """The bank written last in the cache folder.
+    """The bank written last in the cache folder, of those that may be read.
 
     Raises
     ------
@@ -69,7 +71,11 @@ def newest_bank(cache: str | Path | None = None) -> Path:
         If there is none.
     """
     folder = cache_folder(cache)
-    found = [path for path in folder.glob("*.h5") if path.is_file() and has_seal(path)]
+    found = [
+        path
+        for path in folder.glob("*.h5")
+        if path.is_file() and os.access(path, os.R_OK) and has_seal(path)
+    ]
     if not found:
         raise BankError(f"{folder}: holds no bank yet; build one with: slicemask build")
     return max(found, key=lambda path: (path.stat().st_mtime_ns, path.name))

@@ -188,8 +188,8 @@ def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray
     """
     try:
         array = np.array(poses)
-        if np.iscomplexobj(array):
-            raise TypeError("complex numbers")
+        if np.iscomplexobj(array) or array.dtype.names:
+            raise TypeError("complex numbers, or records")
         array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise PoseError(
@@ -245,9 +245,11 @@ def read_poses(path: str | Path) -> NDArray[np.float64]:
 def _read_npy(path: Path) -> NDArray[np.float64]:
     try:
         with path.open("rb") as file:
-            array = np.load(file, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise PoseError(f"{path}: is not a plain .npy array of numbers") from error
+            array = np.lib.format.read_array(file, allow_pickle=False)
+    except OSError:
+        raise
+    except Exception as error:  # a damaged header makes NumPy's parsers raise all sorts
+        raise PoseError(f"{path}: is not a plain .npy array of numbers, or is cut short") from error
     try:
         return check_poses(array, map("row {}".format, itertools.count()))
     except PoseError as error:

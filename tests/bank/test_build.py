@@ -83,6 +83,14 @@ def test_another_bank_is_refused_and_both_are_named(tmp_path, grid, frustum, cel
     assert files_in(tmp_path) == ["bank.h5"]
 
 
+def test_a_link_into_a_folder_that_is_missing_makes_none(tmp_path):
+    link = tmp_path / "link.h5"
+    link.symlink_to(tmp_path / "missing" / "bank.h5")
+    with pytest.raises(BankError, match="there is no such folder"):
+        build_bank(PoseGrid(1, 1, 2), out=link)
+    assert list(tmp_path.iterdir()) == [link]
+
+
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize("kind", ["text", "empty", "hdf5", "folder", "pipe"])
 def test_a_foreign_file_is_never_replaced(tmp_path, kind, force):

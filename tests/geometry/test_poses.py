@@ -147,7 +147,21 @@ def test_files_that_hold_no_poses(tmp_path):
     empty.touch()
     with pytest.raises(PoseError, match=r"not a plain \.npy"):
         read_poses(empty)
-    for number, array in enumerate((5.0, np.zeros((1, 3), dtype=complex))):
+    whole = tmp_path / "whole.npy"
+    np.save(whole, np.zeros((1, 3)))
+    header = whole.read_bytes()
+    for number, content in enumerate((
+        b"PK\x03\x04garbage",
+        header[:-1],
+        header.replace(b"(1, 3), }            ", b"(1000000000000, 3), }"),
+        header.replace(b"{'descr': '<f8',", b"{'descr': ((     "),
+    )):  # fmt: skip
+        damaged = tmp_path / f"damaged{number}.npy"
+        damaged.write_bytes(content)
+        with pytest.raises(PoseError, match=rf"damaged{number}.npy: is not a plain \.npy"):
+            read_poses(damaged)
+    records = np.zeros((2, 3), dtype=[("a", "<f8")])
+    for number, array in enumerate((5.0, np.zeros((1, 3), dtype=complex), records)):
         odd = tmp_path / f"odd{number}.npy"
         np.save(odd, array)
         with pytest.raises(PoseError, match=r"shape \[\]|real numbers"):
