@@ -36,7 +36,7 @@ def main(path: str) -> None:
         seconds.append(time.process_time() - start)
         if len(seconds) == 1:
             peak = _bytes("VmHWM") - before
-    print(json.dumps({"seconds": seconds, "peak_bytes": peak, "candidates_bytes": before}))
+    print(json.dumps({"seconds": seconds, "peak_bytes": peak}))
 
 
 if __name__ == "__main__":

@@ -126,7 +126,6 @@ def _cost(bank: Path) -> dict[str, float]:
         "seconds": found["seconds"][-1],
         "first": found["seconds"][0],
         "peak": found["peak_bytes"],
-        "candidates": found["candidates_bytes"],
     }
 
 
@@ -169,7 +168,7 @@ def _training(model: SliceMatch, bank: Path, batch: int = 4) -> list[Figure]:
         scores = score_candidates(ground, aerial, attention, candidates)
         contrastive_loss(truth, scores).mean().backward()
 
-    seconds = _alternate({"encoders": encoders, "rest": rest}, rounds=1)
+    seconds = _alternate({"encoders": encoders, "rest": rest}, rounds=3)
     ratio = seconds["rest"] / seconds["encoders"]
     return [
         Figure(

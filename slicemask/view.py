@@ -94,7 +94,8 @@ def _pose_index(bank: Bank, text: str) -> int:
     numbers = text.split(",")
     if len(numbers) not in (1, 3) or not all(_INDEX.fullmatch(part) for part in numbers):
         raise PoseError(
-            f"pose is {reprlib.repr(text)}; it must be row,column,heading such as 10,10,8, or a pose index"
+            f"pose is {reprlib.repr(text)}; it must be row,column,heading such as 10,10,8, or a "
+            "pose index"
         )
     if len(numbers) == 1:
         k = int(numbers[0])

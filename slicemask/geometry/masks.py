@@ -57,7 +57,8 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
         Polygons and intersections, or the closed form. They agree to 1e-9. With "rays", poses
         may be any array of the Python array API standard, such as a torch tensor on any device:
         the masks are then of its kind and dtype (float32 or float64; computed in float64), with
-        gradients in u, v and heading_deg.
+        gradients in u, v and heading_deg. Of an array there must be at least one pose; of other
+        arrays there may be none.
 
     Returns
     -------
