@@ -174,11 +174,11 @@ def _pool_blocks(
         attended = features * attention[:, n, None]  # z'_a^n
         dots_n = dots[:, n, None].contiguous()
         for some in numbers.split(max(1, vectors)):
-            rows = take_rows(masks, some)
+            rows = _take_rows(masks, some)
             yield call(_pool_single, *rows, attended, dots_n)
 
 
-def take_rows(masks: Masks, chosen: Tensor) -> Masks:
+def _take_rows(masks: Masks, chosen: Tensor) -> Masks:
     """The chosen rows [R] of a CSR matrix."""
     starts, cells, fractions = masks
     lengths = starts[chosen + 1] - starts[chosen]

@@ -11,7 +11,6 @@ They depend on the slice's mask and number alone, and a bank holds each distinct
 """
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,7 +21,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from model.aggregation import aerial_descriptors, unit
 from model.errors import ConfigError
-from model.pooling import PoolingPlan, plan_pooling, pool_shares, take_rows
+from model.pooling import PoolingPlan, plan_pooling, pool_shares
 from slicemask import Bank
 
 
@@ -129,19 +128,6 @@ class Candidates:
         whole = scores.new_full((len(scores), math.prod(self.shape)), -math.inf)
         whole[:, self.kept] = scores
         return whole.view(-1, *self.shape)
-
-    def rows(self, chosen: Tensor) -> Tensor:
-        """Masks of the chosen numbers [R], as a sparse CSR tensor [R, L * L]."""
-        starts, cells, fractions = take_rows(self.masks, chosen)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-            return torch.sparse_csr_tensor(
-                starts,
-                cells,
-                fractions,
-                size=(len(chosen), self.cells**2),
-                check_invariants=False,  # the bank's reader has checked the rows
-            )
 
     @cached_property
     def pooling(self) -> PoolingPlan:
