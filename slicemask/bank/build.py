@@ -34,6 +34,7 @@ from slicemask.geometry.distinct import (
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine
 from slicemask.geometry.poses import PoseGrid, check_poses
+from slicemask.shield import shielded
 
 # Slices that a batch may have, and values of their masks: what bounds memory.
 _BATCH_VALUES = 1 << 26
@@ -42,6 +43,7 @@ _BATCH_SLICES = 1 << 16
 _ZEROS = 1 << 20
 
 Progress = Callable[[int, int], None]
+Check = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def build_bank(
     jobs : int, optional
         Threads; as many as there are processors by default.
     progress : callable, optional
-        Called with (poses done, poses in all) as the work goes on.
+        Called with (poses done, poses in all) as the work goes on, from a thread of the build's.
 
     Returns
     -------
@@ -127,33 +129,25 @@ def build_bank(
         spec = BankSpec(PoseDigest.of(checked), frustum, cells, engine, versions=_versions(engine))
         source = ListSource(checked)
     path = bank_path(spec, out, cache)
-    try:
+
+    def build(check: Check) -> BuildResult:
         # A bank that is there needs no lock, nor a folder that may be written to.
         rows = None if force else _reusable_rows(path, spec, force=False)
         if rows is not None:
             return BuildResult(path, reused=True, rows=rows)
-        with made_folder(path.parent):
-            return _build_locked(path, spec, source, force, jobs, progress)
+        # A second builder waits here, and then finds the bank.
+        with made_folder(path.parent), only_builder(path, check):
+            rows = _reusable_rows(path, spec, force)
+            if rows is not None:
+                return BuildResult(path, reused=True, rows=rows)
+            return BuildResult(path, False, _build(path, spec, source, jobs, progress, check))
+
+    try:
+        return shielded(build)
     except BankError:
         raise
     except (OSError, RuntimeError) as error:  # h5py raises both
         raise BankError(f"{path}: cannot be written: {_reason(error)}") from error
-
-
-def _build_locked(
-    path: Path,
-    spec: BankSpec,
-    source: PoseSource,
-    force: bool,
-    jobs: int,
-    progress: Progress | None,
-) -> BuildResult:
-    """Build the bank as its only builder: a second one waits here, and then finds the bank."""
-    with only_builder(path):
-        rows = _reusable_rows(path, spec, force)
-        if rows is not None:
-            return BuildResult(path, reused=True, rows=rows)
-        return BuildResult(path, False, _build(path, spec, source, jobs, progress))
 
 
 def _versions(engine: Engine) -> dict[str, str]:
@@ -204,7 +198,12 @@ def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
 
 
 def _build(
-    path: Path, spec: BankSpec, source: PoseSource, jobs: int, progress: Progress | None
+    path: Path,
+    spec: BankSpec,
+    source: PoseSource,
+    jobs: int,
+    progress: Progress | None,
+    check: Check,
 ) -> int:
     """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
@@ -231,6 +230,7 @@ def _build(
             progress(0, total)
         # Enough waits for every thread to find work while the oldest results are written.
         for share, rows in in_order(compute, pieces, pool, 2 * jobs + 8):
+            check()
             writer.add_rows(rows.counts, rows.indices, rows.data)
             if progress:
                 progress(round(share * total), total)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slicemask.geometry.distinct import Images
-from slicemask.geometry.masks import Engine, engine_fractions, tidy
+from slicemask.geometry.masks import NEGLIGIBLE, Engine, engine_fractions
 from slicemask.geometry.symmetry import SYMMETRIES
 
 # Values of sectors' masks that a piece has, at most.
@@ -73,7 +73,7 @@ def mask_rows(images: Images, cells: int, engine: Engine) -> Rows:
 
 
 def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.float32]:
-    """Masks of the sectors, float32 [R, L, L], without rounding noise."""
+    """Masks of the sectors, float32 [R, L, L], with the noise of rounding next to 0."""
     masks = np.zeros((len(images.u), cells, cells), dtype=np.float32)
     width_deg = images.right_deg - images.left_deg
     masks[width_deg == 360.0] = 1.0
@@ -81,7 +81,7 @@ def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.floa
     fractions = engine_fractions(engine)(
         images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
     )
-    masks[some] = tidy(fractions)
+    masks[some] = fractions  # next to 1, float32 knows no noise
     return masks
 
 
@@ -96,7 +96,7 @@ def _image_rows(
         moved = image.masks(sectors[sector[some]])
         dense[some] = np.ascontiguousarray(moved)  # twice as fast as from a strided view
     flat = dense.reshape(-1)
-    at = np.flatnonzero(flat != 0.0)
+    at = np.flatnonzero(flat >= NEGLIGIBLE)
     starts = np.arange(len(sector) + 1) * values
     counts = np.diff(np.searchsorted(at, starts))
     cell = at - np.repeat(starts[:-1], counts)

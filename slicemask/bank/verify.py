@@ -11,6 +11,7 @@ from slicemask.bank.read import Bank
 from slicemask.bank.threads import thread_count
 from slicemask.errors import SpecError
 from slicemask.geometry.masks import Engine, slice_masks
+from slicemask.shield import shielded
 
 # Half a unit in the last place of a float32 below 1, and what two engines may differ by.
 TOLERANCE = 2.0**-25 + 1e-9
@@ -73,7 +74,7 @@ def verify_bank(
     jobs : int
         Threads; as many as there are processors by default.
     progress : callable, optional
-        Called with (poses done, poses in all).
+        Called with (poses done, poses in all), from a thread of the verification's.
 
     Raises
     ------
@@ -105,20 +106,23 @@ def verify_bank(
 
     step = max(1, _BATCH_VALUES // (slices * cells**2))
     parts = [chosen[start : start + step] for start in range(0, count, step)]
-    largest, wrong, first = 0.0, 0, None
-    done = 0
-    pool = ThreadPoolExecutor(min(thread_count(jobs), len(parts)))
-    try:
-        for part, difference in zip(parts, pool.map(differences, parts), strict=True):
-            largest = max(largest, float(difference.max()))
-            faulty = np.argwhere(~(difference <= TOLERANCE))
-            wrong += len(faulty)
-            if len(faulty) and first is None:
-                first = int(part[faulty[0, 0]]), int(faulty[0, 1])
-            done += len(part)
-            if progress:
-                progress(done, count)
-    finally:
-        # After an error or an interrupt, what no thread has begun is dropped.
-        pool.shutdown(cancel_futures=True)
-    return Verification(engine, count, count * slices, largest, wrong, first)
+
+    def compare(check: Callable[[], None]) -> Verification:
+        largest, wrong, first, done = 0.0, 0, None, 0
+        pool = ThreadPoolExecutor(min(thread_count(jobs), len(parts)))
+        try:
+            for part, difference in zip(parts, pool.map(differences, parts), strict=True):
+                check()
+                largest = max(largest, float(difference.max()))
+                faulty = np.argwhere(~(difference <= TOLERANCE))
+                wrong += len(faulty)
+                if len(faulty) and first is None:
+                    first = int(part[faulty[0, 0]]), int(faulty[0, 1])
+                done += len(part)
+                if progress:
+                    progress(done, count)
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return Verification(engine, count, count * slices, largest, wrong, first)
+
+    return shielded(compare)

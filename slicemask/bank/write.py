@@ -3,7 +3,7 @@
 import io
 import os
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -92,32 +92,17 @@ class BankWriter:
         self.nonzeros = 0
         self._sink: _Sink | None = None
         self._open = ExitStack()
-        self._thread = ThreadPoolExecutor(1)
-        # The thread is there before any file is. Ctrl-C while one is being started leaves an
-        # executor that does not know it, and so would not wait for it before the file is removed.
-        self._thread.submit(int).result()
         self._pool = pool
         # Chunks on their way, in the order in which they go to the file.
         self._waiting: deque[tuple[h5py.Dataset, int, int, Future[bytes]]] = deque()
 
     def __enter__(self) -> "BankWriter":
         try:
-            # The first masks are planned meanwhile; the next step waits for it.
-            self._begun = self._thread.submit(self._begin)
+            self._begin()
         except BaseException:
             self._discard()
             raise
         return self
-
-    def _do(self, action: Callable[..., None], *values: Any) -> None:
-        """Take a step on the writer's own thread, and raise if a write failed in it.
-
-        Ctrl-C raises wherever the main thread is; it must not do so in a call that HDF5 makes.
-        """
-        self._begun.result()
-        self._thread.submit(action, *values).result()
-        if self._sink is not None and self._sink.error is not None:
-            raise self._sink.error
 
     def _begin(self) -> None:
         self._sink = self._open.enter_context(_Sink(self.partial))
@@ -173,26 +158,17 @@ class BankWriter:
 
     def add_rows(
         self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
-    ) -> int:
-        """Add CSR rows: nonzeros of each, cells, fractions. Give the first row's number."""
-        first = self.rows
-        self._do(self._add_rows, counts, indices, data)
-        return first
-
-    def _add_rows(
-        self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
     ) -> None:
+        """Add CSR rows: nonzeros of each, cells, fractions."""
         self._append(self._indices, indices)
         self._append(self._data, data)
         self._append(self._indptr, self.nonzeros + np.cumsum(counts))
         self.rows += len(counts)
         self.nonzeros += len(data)
+        self._raise_failure()
 
     def finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
         """Add the index [K, N], copied piece by piece, and the poses, in pieces [k, 3]."""
-        self._do(self._finish, index, poses)
-
-    def _finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
         index_column = self._column("index", np.int32, index.shape[1])
         self._append(index_column, index)
         poses_column = self._column("poses", np.float64, 3)
@@ -206,6 +182,10 @@ class BankWriter:
             [self.rows, self.spec.cells**2], dtype=np.int64
         )
 
+    def _raise_failure(self) -> None:
+        if self._sink is not None and self._sink.error is not None:
+            raise self._sink.error
+
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -216,14 +196,14 @@ class BankWriter:
             self._discard()
             return
         try:
-            self._do(self._open.close)
+            self._open.close()
+            self._raise_failure()
             write_seal(self.partial)
             _sync(self.partial)
             os.replace(self.partial, self.target)
         except BaseException:
             self._discard()
             raise
-        self._thread.shutdown()
         _sync(self.target.parent)
 
     def _discard(self) -> None:
@@ -231,9 +211,8 @@ class BankWriter:
         if self._sink is not None:
             self._sink.abandoned = True
         try:
-            self._thread.submit(self._open.close).result()  # after the step in hand
+            self._open.close()
         finally:
-            self._thread.shutdown()
             self.partial.unlink(missing_ok=True)
 
 

@@ -14,7 +14,7 @@ from slicemask.geometry.poses import check_poses
 Engine = Literal["shapely", "rays"]
 
 # A share this close to 0 or 1 is one: it is of the order of rounding noise.
-_NEGLIGIBLE = 1e-10
+NEGLIGIBLE = 1e-10
 
 
 def check_engine(engine: str) -> Engine:
@@ -91,14 +91,9 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     edges = frustum.edges_deg(checked[:, 2])
     u, v = (np.repeat(checked[:, axis], frustum.slices) for axis in (0, 1))
     fractions = engine_fractions(engine)(u, v, edges[:, :-1].ravel(), edges[:, 1:].ravel(), cells)
-    return tidy(fractions).reshape(len(checked), frustum.slices, cells, cells)
-
-
-def tidy(fractions: Any) -> Any:
-    """Make fractions within rounding noise of 0 or 1 just that, in place."""
-    fractions[fractions < _NEGLIGIBLE] = 0.0
-    fractions[fractions > 1.0 - _NEGLIGIBLE] = 1.0
-    return fractions
+    fractions[fractions < NEGLIGIBLE] = 0.0
+    fractions[fractions > 1.0 - NEGLIGIBLE] = 1.0
+    return fractions.reshape(len(checked), frustum.slices, cells, cells)
 
 
 def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
@@ -131,5 +126,5 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
     left, right = (xp.reshape(side, (-1,)) for side in (edges[:, :-1], edges[:, 1:]))
     widest_deg = float(np.diff(frustum.edge_offsets_deg()).max())
     fractions = engine_fractions("rays")(u, v, left, right, cells, widest_deg)
-    fractions = xp.where(fractions < _NEGLIGIBLE, xp.zeros_like(fractions), fractions)
+    fractions = xp.where(fractions < NEGLIGIBLE, xp.zeros_like(fractions), fractions)
     return xp.astype(xp.reshape(fractions, (*shape, cells, cells)), dtype)
