@@ -106,5 +106,5 @@ def calibrate(
         "checkpoint": checkpoint,
     }
     with written_whole(folder.calibration_file, RunError) as partial:
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return content

@@ -109,24 +109,14 @@ class RunFolder:
         Raises
         ------
         RunError
-            If the folder is no run, or the checkpoint is missing, is not safe to read or does
-            not fit the settings.
+            If the folder is no run, or the checkpoint is missing, is not safe to read, does not
+            fit the settings or is that of a run that diverged.
         """
         config = self.load_config()
         path = self.checkpoint(which)
-        weights = {
-            key.removeprefix("model."): value
-            for key, value in read_checkpoint(path)["state_dict"].items()
-        }
+        content = read_checkpoint(path)
         model = build_model(config, weights="none")
-        try:
-            model.load_state_dict(weights)
-        except (RuntimeError, TypeError, AttributeError) as error:
-            reason = " ".join(str(error).split())
-            raise RunError(
-                f"{path}: does not fit {self.config_file} ({reason[:200]}); both must come from "
-                "the same run"
-            ) from error
+        load_weights(model, content, path)
         return config, model.eval()
 
 
@@ -199,6 +189,30 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     if not (isinstance(content, dict) and isinstance(content.get("state_dict"), Mapping)):
         raise RunError(f"{path}: holds no weights; take a checkpoint that slicemask wrote")
     return content
+
+
+def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> None:
+    """Give a model the weights of a checkpoint that was read from a path.
+
+    Raises
+    ------
+    RunError
+        If they do not fit the model, or are not finite.
+    """
+    weights = {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    try:
+        model.load_state_dict(weights)
+    except (RuntimeError, TypeError, AttributeError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(
+            f"{path}: does not fit the run's config.yaml ({reason[:200]}); both must come from "
+            "the same run"
+        ) from error
+    if not all(bool(value.isfinite().all()) for value in weights.values()):
+        raise RunError(
+            f"{path}: holds weights that are not finite numbers, so the run has diverged; train "
+            "anew with a lower learning rate"
+        )
 
 
 def choose_device(device: str) -> torch.device:

@@ -80,7 +80,8 @@ def train(
     Raises
     ------
     RunError
-        If the folder holds something already, or another run than the one to resume.
+        If the folder holds something already, or another run than the one to resume; or if the
+        loss is finite no longer.
     ConfigError, WeightsError, DatasetError
         If the settings, weights or data cannot be used.
     """
@@ -261,7 +262,7 @@ class TrainingModule(lightning.LightningModule):
                 model.cells,
                 config.seed,
             )
-        self._estimates: list[tuple[Tensor, Tensor, Tensor]] = []
+        self._estimates: list[tuple[Tensor, ...]] = []
 
     def configure_optimizers(self) -> torch.optim.Optimizer | dict[str, Any]:
         """Adam, as in the paper, with its constant learning rate or the one-cycle schedule."""
@@ -311,6 +312,7 @@ class TrainingModule(lightning.LightningModule):
             masks = masks.unflatten(0, near.shape[:2])
             scores = torch.cat([scores, score_masks(ground, aerial, attention, masks)], dim=1)
         loss = contrastive_loss(truth, scores, self.config.alpha, self.config.tau).mean()
+        self._check_finite("training loss", loss)
         self.log(
             "train/loss",
             loss,
@@ -321,6 +323,17 @@ class TrainingModule(lightning.LightningModule):
             sync_dist=True,
         )
         return loss
+
+    def _check_finite(self, what: str, values: Tensor) -> None:
+        """Stop where numbers are finite no longer, before a checkpoint is written."""
+        finite = bool(values.isfinite().all())
+        # All devices stop together: one that went on would wait for the others for ever.
+        if not self.trainer.strategy.reduce_boolean_decision(finite):
+            raise RunError(
+                f"the {what} of epoch {self.current_epoch} is not finite: training with "
+                f"learning_rate {self.config.learning_rate:g} has diverged; the checkpoints of "
+                "epochs before, if any, are kept; train into another folder with a lower learning_rate"
+            )
 
     def _negatives(self) -> Candidates:
         """The training grid, or one of its offsets at random."""
@@ -334,19 +347,20 @@ class TrainingModule(lightning.LightningModule):
         if batch is None:  # no sample of it could be read
             return
         scores = self.model(batch["ground"], batch["aerial"], self.test_candidates)
-        best = scores.argmax(dim=1).cpu()
-        estimates = torch.from_numpy(self.test_candidates.poses)[best]
+        best = scores.max(dim=1)
+        estimates = torch.from_numpy(self.test_candidates.poses)[best.indices.cpu()]
         metres = batch["metres_per_pixel"].cpu() * batch["aerial"].shape[-1]
-        self._estimates.append((estimates, batch["pose"].cpu(), metres))
+        self._estimates.append((best.values.cpu(), estimates, batch["pose"].cpu(), metres))
 
     def on_validation_epoch_end(self) -> None:
         """Log mean and median errors."""
         if not self._estimates:
             return
-        estimates, truths, metres = (
+        scores, estimates, truths, metres = (
             torch.cat(parts) for parts in zip(*self._estimates, strict=True)
         )
         self._estimates.clear()
+        self._check_finite("validation score", scores)
         found = pose_errors(estimates.numpy(), truths.numpy(), metres.numpy()).summary()
         for name, value in found.items():
             if "recall" not in name:
@@ -428,7 +442,7 @@ class _Metrics(lightning.Callback):
         }
         line = {"epoch": trainer.current_epoch, "step": trainer.global_step, **metrics}
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+            file.write(json.dumps(line, allow_nan=False) + "\n")
 
 
 class _Example(lightning.Callback):

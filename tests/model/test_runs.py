@@ -182,6 +182,41 @@ def test_one_cycle_goes_up_and_then_down_to_almost_nothing(config, tmp_path, cac
         train(replace(config, epochs=5), run, resume=True, cache=cache, progress=False)
 
 
+@pytest.mark.parametrize("validation_fraction", [0.0, 0.25])
+def test_a_run_that_diverges_stops_and_keeps_the_epochs_before(
+    config, tmp_path, cache, monkeypatch, validation_fraction
+):
+    config = replace(config, epochs=2, validation_fraction=validation_fraction)
+    with pytest.raises(RunError, match=r"loss of epoch 0 is not finite: .*rate 1e\+30 has diverge"):
+        train(replace(config, learning_rate=1e30), tmp_path / "a", cache=cache, progress=False)
+    assert not (tmp_path / "a" / "calibration.json").exists()
+
+    # In the second epoch, the first one's checkpoints stay.
+    from model.training import TrainingModule
+
+    step = TrainingModule.training_step
+
+    def diverging_step(self, batch, number):
+        if self.current_epoch == 1:
+            with torch.no_grad():
+                next(self.model.parameters()).fill_(torch.inf)
+        return step(self, batch, number)
+
+    monkeypatch.setattr(TrainingModule, "training_step", diverging_step)
+    with pytest.raises(RunError, match=r"loss of epoch 1 is not finite"):
+        train(config, tmp_path / "b", cache=cache, progress=False)
+    assert [line["epoch"] for line in metrics(tmp_path / "b")] == [0]
+    for which in ("best", "last"):
+        assert all(value.isfinite().all() for value in weights(tmp_path / "b", which).values())
+
+
+def test_an_epoch_whose_last_step_diverges_leaves_no_checkpoint(config, tmp_path, cache):
+    config = replace(config, batch_size=8, learning_rate=1e30, epochs=1)  # one step
+    with pytest.raises(RunError, match=r"validation score of epoch 0 is not finite"):
+        train(config, tmp_path / "run", cache=cache, progress=False)
+    assert not (tmp_path / "run" / "checkpoints").exists()
+
+
 def test_losses_differ_from_seed_to_seed(config, tmp_path, cache):
     config = replace(config, epochs=1)
     one, again, other = (
@@ -311,6 +346,12 @@ def test_a_hostile_checkpoint_runs_nothing(run, tmp_path, cache):
     assert not sprung.exists()
 
 
+def spoil_weights(path):
+    content = torch.load(path, weights_only=True)
+    next(iter(content["state_dict"].values())).fill_(torch.nan)
+    torch.save(content, path)
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -326,6 +367,7 @@ def test_a_hostile_checkpoint_runs_nothing(run, tmp_path, cache):
             "does not fit",
         ),
         (lambda run: (run / "config.yaml").write_text("evil: 1"), "'evil' is unknown"),
+        (lambda run: spoil_weights(run / "checkpoints/best.ckpt"), "the run has diverged"),
     ],
 )
 def test_spoilt_runs_are_refused_in_one_sentence(run, cache, spoil, said):
