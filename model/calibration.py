@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Subset
 
+from model.config import check_workers
 from model.data import BadSamples, collate
 from model.errors import ConfigError, RunError
 from model.evaluation import spread
@@ -63,21 +64,22 @@ def calibrate(
         If the run has no validation part, or its data cannot be read.
     """
     folder = RunFolder(Path(run))
-    localizer = Localizer.load(
-        run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
-    )
-    config = localizer.config
+    config = folder.load_config()
+    workers = check_workers(config.workers if workers is None else workers)
     if config.validation_fraction == 0:
         raise ConfigError(
             f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
             "temperature to; without one the loss's tau is used"
         )
+    localizer = Localizer.load(
+        run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
+    )
     dataset = config.dataset("validation", root)
     chosen = spread(len(dataset), MOST_SAMPLES)
     loader = DataLoader(
         Subset(dataset, chosen),
         config.batch_size,
-        num_workers=config.workers if workers is None else workers,
+        num_workers=workers,
         collate_fn=collate,
     )
     candidates = localizer.within()

@@ -215,16 +215,33 @@ def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> N
         )
 
 
-def choose_device(device: str) -> torch.device:
-    """The device of a name; "auto" is CUDA where it is there, else the CPU.
+def device_name(name: str) -> str:
+    """The kind of device that a name stands for: "auto" is CUDA where it is there, else the CPU.
 
     Raises
     ------
     ConfigError
-        If there is no such device.
+        If it is Apple's mps: masks of exact poses are computed in float64, which it lacks.
     """
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
+    if name.split(":")[0] == "mps":
+        raise ConfigError(
+            f"device {name!r} cannot be used (it has no float64, in which masks are computed); "
+            "choose auto, cpu or cuda"
+        )
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    return "cuda" if name == "gpu" else name  # Lightning's gpu may be an mps
+
+
+def choose_device(device: str) -> torch.device:
+    """The device of a name, as in `device_name`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such device, or it cannot be used.
+    """
+    device = device_name(device)
     try:
         chosen = torch.device(device)
         torch.empty(0, device=chosen)

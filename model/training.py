@@ -29,10 +29,12 @@ from model.losses import contrastive_loss
 from model.metrics import pose_errors
 from model.negatives import jittered_candidates, near_poses
 from model.refinement import Domain
-from model.runs import RunFolder, build_model, read_checkpoint
+from model.runs import RunFolder, build_model, device_name, load_weights, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks
+from slicemask.bank.threads import thread_count
+from slicemask.files import written_whole
 from slicemask.plot import save_figure
 
 import lightning.pytorch as lightning  # isort: skip
@@ -101,12 +103,11 @@ def train(
         config = replace(config, hfov_deg=training.hfov_deg)
     last = run.checkpoint("last")
     resuming = resume and last.is_file()
-    first_epoch = 0
     if resuming:
         _check_same(run, config)
-        first_epoch = _finished_epoch(last) + 1
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
     model = build_model(config, weights="none" if resuming else None)
+    first_epoch = _finished_epoch(last, model) + 1 if resuming else 0
     grids = {name: config.grid(name) for name in ("train_grid", "test_grid")}
     train_candidates, test_candidates = (
         _candidates(config, grid, model.cells, cache) for grid in grids.values()
@@ -123,7 +124,9 @@ def train(
     if is_first_process():
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
-    bad_samples = BadSamples(run.bad_samples_file, config.bad_samples)
+    bad_samples = BadSamples(
+        run.bad_samples_file, config.bad_samples, keep=resuming or not is_first_process()
+    )
     for dataset in (training, validation):
         if dataset is not None:
             dataset.bad_samples = bad_samples
@@ -163,11 +166,19 @@ def _check_same(run: RunFolder, config: TrainConfig) -> None:
             )
 
 
-def _finished_epoch(checkpoint: Path) -> int:
-    """The number of the epoch that a checkpoint was written after."""
-    epoch = read_checkpoint(checkpoint).get("epoch")
+def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
+    """The number of the epoch that a checkpoint was written after, if it can be resumed from."""
+    content = read_checkpoint(checkpoint)
+    epoch = content.get("epoch")
     if not isinstance(epoch, int) or epoch < 0:
         raise RunError(f"{checkpoint}: names no finished epoch; it cannot be resumed from")
+    for part in ("optimizer_states", "lr_schedulers", "loops"):
+        if part not in content:
+            raise RunError(
+                f"{checkpoint}: holds weights but no {part}, so it cannot be resumed from; put the "
+                "run's own last.ckpt back, or train into another folder"
+            )
+    load_weights(model, content, checkpoint)
     return epoch
 
 
@@ -198,11 +209,18 @@ def _checkpoints(run: RunFolder, validated: bool) -> list[lightning.Callback]:
 def _trainer(
     config: TrainConfig, run: RunFolder, callbacks: list[lightning.Callback], progress: bool
 ) -> lightning.Trainer:
+    accelerator = device_name(config.accelerator)
+    processors = thread_count(None)
+    if accelerator == "cpu" and config.devices > processors:
+        raise ConfigError(
+            f"devices is {config.devices}; on the CPU each is a process, so it must be at most "
+            f"{processors}, the number of processors"
+        )
     try:
         return lightning.Trainer(
             default_root_dir=run.path,
             max_epochs=config.epochs,
-            accelerator=config.accelerator,
+            accelerator=accelerator,
             devices=config.devices,
             # Some backbones have parameters beyond the stage they are cut at.
             strategy="ddp_find_unused_parameters_true" if config.devices > 1 else "auto",
@@ -332,7 +350,8 @@ class TrainingModule(lightning.LightningModule):
             raise RunError(
                 f"the {what} of epoch {self.current_epoch} is not finite: training with "
                 f"learning_rate {self.config.learning_rate:g} has diverged; the checkpoints of "
-                "epochs before, if any, are kept; train into another folder with a lower learning_rate"
+                "epochs before, if any, are kept; train into another folder with a lower "
+                "learning_rate"
             )
 
     def _negatives(self) -> Candidates:
@@ -430,7 +449,8 @@ class _Metrics(lightning.Callback):
         if trainer.is_global_zero and self.path.exists():
             lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
             kept = "".join(lines[: trainer.current_epoch])
-            self.path.write_text(kept, encoding="utf-8")
+            with written_whole(self.path, RunError) as partial:
+                partial.write_text(kept, encoding="utf-8")
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, _: lightning.LightningModule) -> None:
         if not trainer.is_global_zero:

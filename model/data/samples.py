@@ -108,7 +108,7 @@ class BadSamples:
     """The samples of one run that could not be read, written down as they are met.
 
     A line of JSON per sample goes to a file at once, from whichever worker process meets it, so
-    that nothing is lost if the run ends early. A new instance begins the list anew.
+    that nothing is lost if the run ends early.
 
     Parameters
     ----------
@@ -116,13 +116,15 @@ class BadSamples:
         The file, for instance ``bad_samples.jsonl`` in the run folder.
     limit : int
         How many different bad samples to bear before the data set itself is held to be broken.
+    keep : bool
+        Go on with the list that is there, as a resumed run does, rather than begin it anew.
     """
 
-    def __init__(self, path: str | Path, limit: int = 10):
+    def __init__(self, path: str | Path, limit: int = 10, keep: bool = False):
         self.path = Path(path)
         self.limit = limit
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.write_text("", encoding="utf-8")
+        self.path.open("a" if keep else "w").close()
 
     def record(self, name: str, error: SampleError) -> None:
         """Write a bad sample down, once however often it is met.

@@ -13,7 +13,7 @@ from model.config import TrainConfig
 from model.data.errors import DatasetError
 from model.errors import ConfigError, RunError
 from model.localizer import Localizer
-from model.runs import RunFolder, plan_run
+from model.runs import RunFolder, choose_device, plan_run
 from model.training import train
 
 
@@ -95,6 +95,8 @@ def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, ca
     (run / "calibration.json").unlink()
     assert calibrate(run, cache=cache) == content
     assert calibrate(run, cache=cache, grid="2x2x2")["grid"] == "2x2x2"
+    with pytest.raises(ConfigError, match="workers is -1; it must be at least 0"):
+        calibrate(run, cache=cache, workers=-1)
     assert not list(run.glob("*.part"))
 
     unseen = replace(config, epochs=1, validation_fraction=0.0)
@@ -286,9 +288,28 @@ def test_nothing_is_overwritten_and_nothing_left_behind(config, tmp_path, cache)
 
 
 def test_machines_that_are_not_there(config, tmp_path, cache):
-    with pytest.raises(ConfigError, match="accelerator 'abacus'"):
-        train(replace(config, accelerator="abacus"), tmp_path / "r", cache=cache, progress=False)
-    assert not (tmp_path / "r").exists()
+    for settings, said in (
+        ({"accelerator": "abacus"}, "accelerator 'abacus'"),
+        ({"accelerator": "mps"}, "device 'mps' cannot be used .it has no float64"),
+        ({"devices": 99}, "devices is 99; on the CPU each is a process, so it must be at most"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            train(replace(config, **settings), tmp_path / "r", cache=cache, progress=False)
+        assert not (tmp_path / "r").exists()
+    with pytest.raises(ConfigError, match="device 'mps:0' cannot be used"):
+        choose_device("mps:0")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="auto is CUDA here")
+@pytest.mark.filterwarnings("ignore:GPU available but not used")
+def test_auto_is_never_mps(config, tmp_path, cache, monkeypatch):
+    """A Mac, as Lightning sees one."""
+    from lightning.pytorch.accelerators import MPSAccelerator
+
+    monkeypatch.setattr(MPSAccelerator, "is_available", staticmethod(lambda: True))
+    config = replace(config, accelerator="auto", epochs=1)
+    train(config, tmp_path / "run", cache=cache, progress=False)
+    assert choose_device("auto") == torch.device("cpu")
 
 
 def test_settings_asked_for_go_before_the_file_and_the_run(tmp_path):
@@ -330,6 +351,33 @@ def finished(config, tmp_path_factory, cache):
 def run(finished, tmp_path):
     """A copy of a finished run, to be spoilt."""
     return shutil.copytree(finished, tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda folder: shutil.copy(folder / "best.ckpt", folder / "last.ckpt"),
+            "last.ckpt: holds weights but no optimizer_states, so it cannot be resumed from",
+        ),
+        (lambda folder: spoil_weights(folder / "last.ckpt"), "the run has diverged"),
+    ],
+)
+def test_what_cannot_be_resumed_is_left_as_it_was(run, cache, spoil, said):
+    spoil(run / "checkpoints")
+    (run / "bad_samples.jsonl").write_text('{"name": "a", "error": "b"}\n')
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    config = replace(RunFolder(run).load_config(), epochs=2)
+    with pytest.raises(RunError, match=said):
+        train(config, run, resume=True, cache=cache, progress=False)
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_a_resumed_run_keeps_its_list_of_bad_samples(run, cache):
+    (run / "bad_samples.jsonl").write_text('{"name": "a", "error": "b"}\n')
+    config = replace(RunFolder(run).load_config(), epochs=2)
+    train(config, run, resume=True, cache=cache, progress=False)
+    assert (run / "bad_samples.jsonl").read_text() == '{"name": "a", "error": "b"}\n'
 
 
 def test_a_hostile_checkpoint_runs_nothing(run, tmp_path, cache):

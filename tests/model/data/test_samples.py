@@ -120,6 +120,8 @@ def test_a_run_s_list_starts_empty_and_says_nothing_then(tmp_path):
     again = BadSamples(path)
     assert again.entries() == {}
     assert again.report() == ""
+    again.record("two", SampleError("two.png: gone"))
+    assert list(BadSamples(path, keep=True).entries()) == ["two"]
 
 
 @pytest.mark.parametrize("config", [VigorConfig, KittiConfig])
