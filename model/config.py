@@ -301,6 +301,8 @@ class TrainConfig:
             "aerial_size": self.aerial_size,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
+            "extent": self.extent,
+            "place_prior": self.place_prior,
             "seed": self.seed,
         }
         try:

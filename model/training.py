@@ -99,6 +99,7 @@ def train(
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     training = config.dataset("train")
     validation = config.dataset("validation") if config.validation_fraction > 0 else None
+    datasets = [training] if validation is None else [training, validation]
     if config.hfov_deg is None:
         config = replace(config, hfov_deg=training.hfov_deg)
     last = run.checkpoint("last")
@@ -124,12 +125,12 @@ def train(
     if is_first_process():
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
+        _warn_of_places_outside(config, datasets)
     bad_samples = BadSamples(
         run.bad_samples_file, config.bad_samples, keep=resuming or not is_first_process()
     )
-    for dataset in (training, validation):
-        if dataset is not None:
-            dataset.bad_samples = bad_samples
+    for dataset in datasets:
+        dataset.bad_samples = bad_samples
     module = TrainingModule(config, model, train_candidates, test_candidates)
     data = _Data(config, training, validation, first_epoch)
     with warnings.catch_warnings():
@@ -180,6 +181,20 @@ def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
             )
     load_weights(model, content, checkpoint)
     return epoch
+
+
+def _warn_of_places_outside(config: TrainConfig, datasets: list[PoseDataset]) -> None:
+    """Say how many true places no candidate can find."""
+    outside = sum(
+        dataset.count_outside(config.extent, place_prior=config.place_prior) for dataset in datasets
+    )
+    if outside:
+        log.warning(
+            "%d of the %d true places to train and validate with lie outside the extent or the "
+            "place prior, where no candidate can find them",
+            outside,
+            sum(map(len, datasets)),
+        )
 
 
 def _candidates(
