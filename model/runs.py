@@ -18,15 +18,52 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 
 from model.config import TrainConfig, read_settings
 from model.errors import ConfigError, RunError
 from model.slicematch import SliceMatch
+from slicemask import PoseGrid
 
 Checkpoint = Literal["best", "last"]
+
+
+@dataclass(frozen=True)
+class FittedTemperature:
+    """A temperature, and what gave the scores that it was fitted to.
+
+    Parameters
+    ----------
+    temperature : float
+        Greater than 0.
+    grid : PoseGrid
+        Of the candidates.
+    checkpoint : {"best", "last"}
+        Of the weights.
+    heading_prior_deg : (centre, half_width) or None
+        The run's own.
+    place_prior : (u, v, radius) or None
+        The run's own.
+    """
+
+    temperature: float
+    grid: PoseGrid
+    checkpoint: Checkpoint
+    heading_prior_deg: tuple[float, float] | None
+    place_prior: tuple[float, float, float] | None
+
+    def matches(
+        self,
+        grid: PoseGrid,
+        checkpoint: Checkpoint,
+        heading_prior_deg: tuple[float, float] | None,
+        place_prior: tuple[float, float, float] | None,
+    ) -> bool:
+        """Whether scores of these candidates and weights are those that it was fitted to."""
+        asked = (grid, checkpoint, heading_prior_deg, place_prior)
+        return asked == (self.grid, self.checkpoint, self.heading_prior_deg, self.place_prior)
 
 
 @dataclass(frozen=True)
@@ -82,26 +119,34 @@ class RunFolder:
             )
         return TrainConfig.load(self.config_file)
 
-    def load_temperature(self) -> float | None:
+    def load_calibration(self) -> FittedTemperature | None:
         """The temperature that was fitted to the run's scores; None if none was.
 
         Raises
         ------
         RunError
-            If the file that should hold it does not.
+            If the file that should hold it does not, or the folder is no run.
         """
+        config = self.load_config()
         try:
-            temperature = json.loads(self.calibration_file.read_text("utf-8"))["temperature"]
+            content = json.loads(self.calibration_file.read_text("utf-8"))
+            temperature, checkpoint = content["temperature"], content["checkpoint"]
             if not (isinstance(temperature, float) and 0.0 < temperature < math.inf):
                 raise ValueError(f"temperature is {temperature!r}")
+            if checkpoint not in get_args(Checkpoint):
+                raise ValueError(f"checkpoint is {checkpoint!r}")
+            grid = config.grid("test_grid", str(content["grid"]))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(
-                f"{self.calibration_file}: holds no temperature greater than 0 ({error!r}); "
-                "remove it, or write it anew with `slicemask calibrate`"
+                f"{self.calibration_file}: holds no temperature greater than 0 with its grid and "
+                f"checkpoint ({error!r}); remove it, or write it anew with `slicemask calibrate`"
             ) from error
-        return temperature
+        # `calibrate` takes the run's own priors.
+        return FittedTemperature(
+            temperature, grid, checkpoint, config.heading_prior(), config.place_prior
+        )
 
     def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
         """The run's settings and its model with trained weights, on the CPU, set to evaluate.

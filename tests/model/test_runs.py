@@ -97,13 +97,22 @@ def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, ca
     assert calibrate(run, cache=cache, grid="2x2x2")["grid"] == "2x2x2"
     with pytest.raises(ConfigError, match="workers is -1; it must be at least 0"):
         calibrate(run, cache=cache, workers=-1)
-    assert not list(run.glob("*.part"))
+    assert not list(run.glob("*.part*"))
 
     unseen = replace(config, epochs=1, validation_fraction=0.0)
     run = train(unseen, tmp_path / "other", cache=cache, progress=False)
     assert not (run / "calibration.json").exists()
     with pytest.raises(ConfigError, match="was trained with validation_fraction 0"):
         calibrate(run, cache=cache)
+
+
+def test_a_temperature_is_fitted_to_fewer_samples_of_many_candidates(
+    config, tmp_path, cache, monkeypatch
+):
+    run = train(replace(config, epochs=1), tmp_path / "run", cache=cache, progress=False)
+    for most, samples in ((4 * 4 * 8 * 2, 2), (4 * 4 * 8 * 2 - 1, 1), (1, 1)):
+        monkeypatch.setattr("model.calibration.MOST_SCORES", most)
+        assert calibrate(run, cache=cache)["samples"] == samples
 
 
 def test_jitter_and_near_negatives_change_the_losses(config, tmp_path, cache):
@@ -274,6 +283,23 @@ def test_an_unreadable_sample_leaves_a_trace_and_the_epoch_goes_on(config, tmp_p
 
     with pytest.raises(DatasetError, match="more than 0 samples cannot be read"):
         train(replace(config, bad_samples=0), tmp_path / "b", cache=cache, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({}, []),
+        ({"extent": (0.45, 0.45, 0.55, 0.55)}, ["8 of the 8 true places"]),
+    ],
+)
+def test_true_places_outside_the_grid_are_counted_at_the_start(
+    config, tmp_path, cache, caplog, settings, said
+):
+    config = replace(config, epochs=1, **settings)
+    train(config, tmp_path / "run", cache=cache, progress=False)
+    found = [record.message for record in caplog.records if "true places" in record.message]
+    assert len(found) == len(said)
+    assert all(message.startswith(text) for message, text in zip(found, said, strict=True))
 
 
 def test_nothing_is_overwritten_and_nothing_left_behind(config, tmp_path, cache):
