@@ -1,12 +1,10 @@
 """What a training run is made of: one frozen set of settings, kept as YAML in its run folder."""
 
 import math
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, Union
+from typing import Any, Literal
 
 import yaml
 
@@ -14,6 +12,7 @@ from model.data import KittiConfig, KittiDataset, PoseDataset, VigorConfig, Vigo
 from model.data.kitti import SHIFT_RANGE_M, SPAN_M
 from model.data.samples import BadSamples
 from model.errors import ConfigError
+from model.settings import convert, read_settings
 from slicemask import Frustum, PoseGrid
 from slicemask.files import written_whole
 
@@ -171,7 +170,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = _convert(field.name, getattr(self, field.name), field.type)
+            value = convert(field.name, getattr(self, field.name), field.type)
             object.__setattr__(self, field.name, value)
         for name, value in _PAPER[self.data].items():
             if getattr(self, name) is None:
@@ -330,88 +329,3 @@ def check_workers(workers: int) -> int:
     if workers < 0:
         raise ConfigError(f"workers is {workers}; it must be at least 0")
     return workers
-
-
-def read_settings(path: str | Path) -> dict[str, Any]:
-    """Read a YAML file of settings as it stands, with nothing in it run.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read as a mapping.
-    """
-    try:
-        settings = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file of settings") from None
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from error
-    if not isinstance(settings, dict):
-        raise ConfigError(f"{path}: holds no settings; expected lines such as 'encoder: vgg16'")
-    return settings
-
-
-def _convert(name: str, value: Any, kind: Any) -> Any:
-    """The value as the field's type, or ConfigError."""
-    for choice in typing.get_args(kind) if _is_union(kind) else (kind,):
-        matched, converted = _as(value, choice)
-        if matched:
-            return converted
-    raise ConfigError(f"{name} is {value!r}; it must be {_describe(kind)}")
-
-
-def _as(value: Any, kind: Any) -> tuple[bool, Any]:
-    if typing.get_origin(kind) is Literal:
-        return value in typing.get_args(kind), value
-    if typing.get_origin(kind) is tuple:
-        kinds = typing.get_args(kind)
-        if not isinstance(value, list | tuple):
-            return False, None
-        if kinds[-1] is Ellipsis:
-            kinds = (kinds[0],) * len(value)
-        if len(kinds) != len(value):
-            return False, None
-        parts = [_as(part, one) for part, one in zip(value, kinds, strict=True)]
-        return all(matched for matched, _ in parts), tuple(part for _, part in parts)
-    if kind is float:
-        if isinstance(value, bool):
-            return False, None
-        try:  # of text too: YAML takes 1e-5, which has no point, for text
-            number = float(value)
-        except (TypeError, ValueError, OverflowError):
-            return False, None
-        return math.isfinite(number), number
-    if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool), value
-    if kind is str and isinstance(value, Path):
-        value = str(value)
-    if kind is str:  # no path may hold a null character
-        return isinstance(value, str) and "\0" not in value, value
-    return isinstance(value, kind), value
-
-
-def _is_union(kind: Any) -> bool:
-    return isinstance(kind, types.UnionType) or typing.get_origin(kind) is Union
-
-
-def _describe(kind: Any) -> str:
-    if _is_union(kind):
-        return " or ".join(_describe(choice) for choice in typing.get_args(kind))
-    if typing.get_origin(kind) is Literal:
-        return "one of " + ", ".join(typing.get_args(kind))
-    if typing.get_origin(kind) is tuple:
-        kinds = [k for k in typing.get_args(kind) if k is not Ellipsis]
-        many = "" if len(kinds) == 1 else f"{len(kinds)} "
-        return f"a list of {many}{_PLURALS[kinds[0]]}"
-    return _WORDS[kind]
-
-
-_WORDS = {
-    str: "text without null characters",
-    int: "a whole number",
-    float: "a finite number",
-    bool: "true or false",
-    type(None): "none",
-}
-_PLURALS = {str: "texts", int: "whole numbers", float: "finite numbers"}

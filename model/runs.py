@@ -22,8 +22,9 @@ from typing import Any, Literal, get_args
 
 import torch
 
-from model.config import TrainConfig, read_settings
+from model.config import TrainConfig
 from model.errors import ConfigError, RunError
+from model.settings import read_settings
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid
 
