@@ -114,7 +114,7 @@ def train(
         _candidates(config, grid, model.cells, cache) for grid in grids.values()
     )
 
-    callbacks = [*_checkpoints(run, validated=validation is not None), _Metrics(run)]
+    callbacks = [*_checkpoints(run, validated=validation is not None), _Metrics(run), _Moved()]
     if config.heat_map_every:
         shown = training if validation is None else validation
         callbacks.append(_Example(run, shown, grids["test_grid"], config.heat_map_every))
@@ -478,6 +478,29 @@ class _Metrics(lightning.Callback):
         line = {"epoch": trainer.current_epoch, "step": trainer.global_step, **metrics}
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line, allow_nan=False) + "\n")
+
+
+class _Moved(lightning.Callback):
+    """Lets a run whose folder was moved know its best checkpoint and score again."""
+
+    def on_load_checkpoint(
+        self, trainer: lightning.Trainer, _: lightning.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        folder = str(trainer.checkpoint_callback.dirpath)
+        for state in checkpoint["callbacks"].values():
+            before = state.get("dirpath")
+            if not before:
+                continue
+            moved = {
+                name: folder + value.removeprefix(before)
+                for name, value in state.items()
+                if isinstance(value, str) and value.startswith(before)
+            }
+            scores = {
+                folder + path.removeprefix(before): score
+                for path, score in state["best_k_models"].items()
+            }
+            state.update(moved, best_k_models=scores)
 
 
 class _Example(lightning.Callback):

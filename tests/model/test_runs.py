@@ -399,6 +399,27 @@ def test_what_cannot_be_resumed_is_left_as_it_was(run, cache, spoil, said):
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
+def test_a_run_that_was_moved_knows_its_best_epoch_again(config, tmp_path, cache):
+    config = replace(config, epochs=1)
+    train(config, tmp_path / "run", cache=cache, progress=False)
+    run = (tmp_path / "run").rename(tmp_path / "moved")
+    last = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
+    (state,) = (s for s in last["callbacks"].values() if s["best_model_path"].endswith("best.ckpt"))
+    assert state["best_model_score"] == metrics(run)[0]["validation/place_mean_m"]
+    state["best_model_score"].zero_()  # no epoch can be better
+    state["kth_value"].zero_()
+    for score in state["best_k_models"].values():
+        score.zero_()
+    torch.save(last, run / "checkpoints" / "last.ckpt")
+    before = (run / "checkpoints" / "best.ckpt").read_bytes()
+    train(replace(config, epochs=3), run, resume=True, cache=cache, progress=False)
+    assert (run / "checkpoints" / "best.ckpt").read_bytes() == before
+    assert sorted(path.name for path in (run / "checkpoints").iterdir()) == [
+        "best.ckpt",
+        "last.ckpt",
+    ]
+
+
 def test_a_resumed_run_keeps_its_list_of_bad_samples(run, cache):
     (run / "bad_samples.jsonl").write_text('{"name": "a", "error": "b"}\n')
     config = replace(RunFolder(run).load_config(), epochs=2)
