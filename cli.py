@@ -446,7 +446,7 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
             click.Choice(["32-true", "16-mixed", "bf16-mixed"]),
             "Of the encoders.  [default: 32-true]",
         ),
-        ("accelerator", str, "auto, cpu, gpu, ...  [default: auto]"),
+        ("accelerator", str, "auto, cpu, cuda, ...  [default: auto]"),
         ("devices", int, "How many.  [default: 1]"),
     )
     command = click.option(

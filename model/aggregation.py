@@ -1,6 +1,8 @@
 """Slice descriptors of the ground image and of the poses: SliceMatch, CVPR 2023, eq. 2 to 4.
 
 Shapes: B pairs, C channels, H x W ground cells, L x L aerial cells, N slices, K poses.
+
+Mixed precision ends at the encoders: here, as in `model.scoring`, autocast is off.
 """
 
 import torch
@@ -38,15 +40,15 @@ class GroundAggregator(nn.Module):
         descriptors : float [B, N, C]
             Unit length; zero where a slice's features are all zero.
         """
-        attended = features * self.attention(features)  # z'_g = M_g * z_g
-        height, width = attended.shape[-2:]
+        height, width = features.shape[-2:]
         cells = -(-width // self.slices)
-        if cells * self.slices != width:
-            attended = F.interpolate(
-                attended, size=(height, cells * self.slices), mode="bilinear", align_corners=False
-            )
-        means = attended.unflatten(-1, (self.slices, cells)).mean(dim=(2, 4))  # [B, C, N]
-        return unit(means.transpose(1, 2))
+        with torch.autocast(features.device.type, enabled=False):
+            attended = features * self.attention(features)  # z'_g = M_g * z_g
+            if cells * self.slices != width:
+                size = (height, cells * self.slices)
+                attended = F.interpolate(attended, size, mode="bilinear", align_corners=False)
+            means = attended.unflatten(-1, (self.slices, cells)).mean(dim=(2, 4))  # [B, C, N]
+            return unit(means.transpose(1, 2))
 
 
 class AerialAttention(nn.Module):
@@ -81,11 +83,13 @@ class AerialAttention(nn.Module):
         attention : float [B, N, L, L]
             In (0, 1).
         """
-        if not self.cross_view:
-            return self.attention(features).expand(-1, ground.shape[1], -1, -1)
-        directions = unit(features.movedim(1, -1))  # [B, L, L, C]
-        similarity = torch.einsum("bijc,bnc->bnij", directions, ground)  # S^n, the cosine (ours)
-        return self.attention(features, similarity)
+        with torch.autocast(features.device.type, enabled=False):
+            if not self.cross_view:
+                return self.attention(features).expand(-1, ground.shape[1], -1, -1)
+            directions = unit(features.movedim(1, -1))  # [B, L, L, C]
+            # S^n, the cosine (ours)
+            similarity = torch.einsum("bijc,bnc->bnij", directions, ground)
+            return self.attention(features, similarity)
 
 
 def aerial_descriptors(features: Tensor, attention: Tensor, masks: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Subset
 
+from model.config import check_workers
 from model.data import BadSamples, collate
 from model.errors import ConfigError, RunError
 from model.evaluation import spread
@@ -19,8 +20,9 @@ from model.runs import Checkpoint, RunFolder
 from model.uncertainty import fit_temperature, mean_nll
 from slicemask.files import written_whole
 
-# Samples that a temperature is fitted to, at most: evenly taken from the validation part.
+# Samples that a temperature is fitted to and scores of theirs that are kept (200 MB), at most.
 MOST_SAMPLES = 1000
+MOST_SCORES = 50_000_000
 
 
 def calibrate(
@@ -36,7 +38,9 @@ def calibrate(
 ) -> dict[str, Any]:
     """Fit the temperature under which the true poses of the validation part are likeliest.
 
-    Training does this at its end; for older runs it can be done at any time.
+    Training does this at its end; for older runs it can be done at any time. Samples are taken
+    evenly from the validation part: at most 1,000, and of many candidates fewer, so that there
+    are at most 50 million scores (but one sample at least).
 
     Parameters
     ----------
@@ -63,48 +67,53 @@ def calibrate(
         If the run has no validation part, or its data cannot be read.
     """
     folder = RunFolder(Path(run))
-    localizer = Localizer.load(
-        run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
-    )
-    config = localizer.config
+    config = folder.load_config()
+    workers = check_workers(config.workers if workers is None else workers)
     if config.validation_fraction == 0:
         raise ConfigError(
             f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
             "temperature to; without one the loss's tau is used"
         )
+    localizer = Localizer.load(
+        run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
+    )
     dataset = config.dataset("validation", root)
-    chosen = spread(len(dataset), MOST_SAMPLES)
+    candidates = localizer.within()
+    most = min(MOST_SAMPLES, max(1, MOST_SCORES // len(candidates.poses)))
+    chosen = spread(len(dataset), most)
     loader = DataLoader(
         Subset(dataset, chosen),
         config.batch_size,
-        num_workers=config.workers if workers is None else workers,
+        num_workers=workers,
         collate_fn=collate,
     )
-    candidates = localizer.within()
-    scores: list[np.ndarray] = []
-    truths: list[np.ndarray] = []
+    scores = np.empty((len(chosen), len(candidates.poses)), dtype=np.float32)
+    truths = np.empty(len(chosen), dtype=np.int64)
+    read = 0
     with tempfile.TemporaryDirectory() as scratch:
         dataset.bad_samples = BadSamples(Path(scratch, "bad_samples.jsonl"), config.bad_samples)
         for batch in loader:
             if batch is not None:
                 images = (batch[kind].to(localizer.device) for kind in ("ground", "aerial"))
+                rows = slice(read, read + len(batch["pose"]))
                 with torch.no_grad():
-                    scores.append(localizer.model(*images, candidates).float().cpu().numpy())
-                truths.append(nearest_candidates(candidates.poses, batch["pose"].numpy()))
+                    scores[rows] = localizer.model(*images, candidates).float().cpu().numpy()
+                truths[rows] = nearest_candidates(candidates.poses, batch["pose"].numpy())
+                read = rows.stop
             if progress is not None:
-                progress(sum(map(len, scores)), len(chosen))
-    if not scores:
+                progress(read, len(chosen))
+    if read == 0:
         raise ConfigError(f"{run}: none of the {len(chosen)} validation samples can be read")
-    all_scores, all_truths = np.concatenate(scores), np.concatenate(truths)
-    temperature, nll = fit_temperature(all_scores, all_truths)
+    scores, truths = scores[:read], truths[:read]
+    temperature, nll = fit_temperature(scores, truths)
     content = {
         "temperature": temperature,
         "nll": nll,
-        "nll_of_tau": mean_nll(all_scores, all_truths, config.tau),
-        "samples": len(all_truths),
+        "nll_of_tau": mean_nll(scores, truths, config.tau),
+        "samples": read,
         "grid": str(localizer.grid),
         "checkpoint": checkpoint,
     }
     with written_whole(folder.calibration_file, RunError) as partial:
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return content

@@ -1,12 +1,10 @@
 """What a training run is made of: one frozen set of settings, kept as YAML in its run folder."""
 
 import math
-import types
-import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, Union
+from typing import Any, Literal
 
 import yaml
 
@@ -14,7 +12,9 @@ from model.data import KittiConfig, KittiDataset, PoseDataset, VigorConfig, Vigo
 from model.data.kitti import SHIFT_RANGE_M, SPAN_M
 from model.data.samples import BadSamples
 from model.errors import ConfigError
+from model.settings import convert, read_settings
 from slicemask import Frustum, PoseGrid
+from slicemask.files import written_whole
 
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
@@ -64,7 +64,7 @@ class TrainConfig:
         Candidate poses, ROWSxCOLUMNSxHEADINGS; None for the paper's: VIGOR 7x7x16 and 21x21x64,
         KITTI 5x5x16 and 15x15x64.
     hfov_deg : float or None
-        Horizontal field of view of the ground images; None for the data set's.
+        Horizontal field of view of the ground images; None for the data set's. VIGOR's is 360.
     encoder : str
         timm backbone.
     weights : str
@@ -109,15 +109,15 @@ class TrainConfig:
     bad_samples : int
         How many different samples may be unreadable before the run stops (ours: 10).
     seed : int
-        Of weights, order, headings and shifts.
+        Of weights, order, headings and shifts; below 2**32.
     workers : int
         Processes that load images.
     precision : {"32-true", "16-mixed", "bf16-mixed"}
         Arithmetic of the encoders; scores are always computed in 32 bits.
     accelerator : str
-        As Lightning names them: "auto", "cpu", "gpu", ...
+        As Lightning names them: "cpu", "cuda", ...; "auto" is CUDA where it is there, else the CPU.
     devices : int
-        How many of them.
+        How many of them; of the CPU at most as many as it has processors.
 
     Raises
     ------
@@ -170,7 +170,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = _convert(field.name, getattr(self, field.name), field.type)
+            value = convert(field.name, getattr(self, field.name), field.type)
             object.__setattr__(self, field.name, value)
         for name, value in _PAPER[self.data].items():
             if getattr(self, name) is None:
@@ -179,8 +179,10 @@ class TrainConfig:
             object.__setattr__(self, "extent", self._default_extent())
         for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
             self._check(name, getattr(self, name) >= 1, "at least 1")
-        for name in ("near_negatives", "heat_map_every", "bad_samples", "seed", "workers"):
+        for name in ("near_negatives", "heat_map_every", "bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
+        check_workers(self.workers)
+        self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate"):
             self._check(name, getattr(self, name) > 0, "greater than 0")
         self._check("alpha", self.alpha is None or self.alpha > 0, "greater than 0, or None for K")
@@ -190,6 +192,9 @@ class TrainConfig:
             self.grid(name)
         if self.data != "vigor":
             self._check("cities", self.cities is None, "None: only VIGOR has cities")
+        if self.data == "vigor":
+            panorama = self.hfov_deg is None or self.hfov_deg == 360
+            self._check("hfov_deg", panorama, "360: VIGOR's ground images are panoramas")
         if self.data != "kitti":
             self._check("splits", self.splits is None, "None: only KITTI's splits lie apart")
         self.data_config()
@@ -251,14 +256,14 @@ class TrainConfig:
             )
 
     def save(self, path: str | Path) -> None:
-        """Write the settings as YAML, in the order of their documentation."""
+        """Write the settings as YAML, in the order of their documentation, whole or not at all."""
         plain = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(self).items()
         }
-        Path(path).write_text(
-            yaml.safe_dump(plain, sort_keys=False, default_flow_style=None), encoding="utf-8"
-        )
+        text = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None)
+        with written_whole(Path(path), ConfigError) as partial:
+            partial.write_text(text, encoding="utf-8")
 
     def grid(self, name: str, grid: str | None = None) -> PoseGrid:
         """The candidate grid ``train_grid`` or ``test_grid`` (or another one) in the extent."""
@@ -295,6 +300,8 @@ class TrainConfig:
             "aerial_size": self.aerial_size,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
+            "extent": self.extent,
+            "place_prior": self.place_prior,
             "seed": self.seed,
         }
         try:
@@ -317,79 +324,8 @@ class TrainConfig:
         return dataset(self.data_config(root, split), part, bad_samples)
 
 
-def read_settings(path: str | Path) -> dict[str, Any]:
-    """Read a YAML file of settings as it stands, with nothing in it run.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read as a mapping.
-    """
-    try:
-        settings = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file of settings") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from error
-    if not isinstance(settings, dict):
-        raise ConfigError(f"{path}: holds no settings; expected lines such as 'encoder: vgg16'")
-    return settings
-
-
-def _convert(name: str, value: Any, kind: Any) -> Any:
-    """The value as the field's type, or ConfigError."""
-    for choice in typing.get_args(kind) if _is_union(kind) else (kind,):
-        matched, converted = _as(value, choice)
-        if matched:
-            return converted
-    raise ConfigError(f"{name} is {value!r}; it must be {_describe(kind)}")
-
-
-def _as(value: Any, kind: Any) -> tuple[bool, Any]:
-    if typing.get_origin(kind) is Literal:
-        return value in typing.get_args(kind), value
-    if typing.get_origin(kind) is tuple:
-        kinds = typing.get_args(kind)
-        if not isinstance(value, list | tuple):
-            return False, None
-        if kinds[-1] is Ellipsis:
-            kinds = (kinds[0],) * len(value)
-        if len(kinds) != len(value):
-            return False, None
-        parts = [_as(part, one) for part, one in zip(value, kinds, strict=True)]
-        return all(matched for matched, _ in parts), tuple(part for _, part in parts)
-    if kind is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        return (number and math.isfinite(value)), (float(value) if number else None)
-    if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool), value
-    if kind is str and isinstance(value, Path):
-        return True, str(value)
-    return isinstance(value, kind), value
-
-
-def _is_union(kind: Any) -> bool:
-    return isinstance(kind, types.UnionType) or typing.get_origin(kind) is Union
-
-
-def _describe(kind: Any) -> str:
-    if _is_union(kind):
-        return " or ".join(_describe(choice) for choice in typing.get_args(kind))
-    if typing.get_origin(kind) is Literal:
-        return "one of " + ", ".join(typing.get_args(kind))
-    if typing.get_origin(kind) is tuple:
-        kinds = [k for k in typing.get_args(kind) if k is not Ellipsis]
-        many = "" if len(kinds) == 1 else f"{len(kinds)} "
-        return f"a list of {many}{_PLURALS[kinds[0]]}"
-    return _WORDS[kind]
-
-
-_WORDS = {
-    str: "text",
-    int: "a whole number",
-    float: "a finite number",
-    bool: "true or false",
-    type(None): "none",
-}
-_PLURALS = {str: "texts", int: "whole numbers", float: "finite numbers"}
+def check_workers(workers: int) -> int:
+    """The number of processes that load images, or ConfigError if it cannot be one."""
+    if workers < 0:
+        raise ConfigError(f"workers is {workers}; it must be at least 0")
+    return workers

@@ -98,7 +98,7 @@ class Evaluation:
             one, five = (errors[f"{kind}_recall_{threshold}{unit}"] for threshold in (1, 5))
             lines.append(f"{kind:<13}{one:6.1%}{five:10.1%}   ({unit})")
         sure = self.calibration.summary()
-        source = "fitted" if self.settings["calibrated"] else "the loss's tau, none is fitted"
+        source = "fitted" if self.settings["calibrated"] else "not fitted to these candidates"
         lines += [
             f"probabilities at temperature {self.settings['temperature']:.4g} ({source})",
             f"calibration error {sure['expected_error']:.3f}: {sure['mean_probability']:.1%} "

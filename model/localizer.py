@@ -243,6 +243,8 @@ class Localizer:
         How estimates are refined (`model.refinement`), unless `localize` is told otherwise.
     temperature : float, optional
         That makes scores probabilities; the loss's tau by default.
+    calibrated : bool
+        Whether it was fitted to scores of these candidates and weights.
     """
 
     def __init__(
@@ -254,6 +256,7 @@ class Localizer:
         device: torch.device,
         refine: Refine = DEFAULT,
         temperature: float | None = None,
+        calibrated: bool = False,
     ) -> None:
         self.model = model
         self.candidates = candidates
@@ -261,7 +264,7 @@ class Localizer:
         self.config = config
         self.device = device
         self.refine = check_refine(refine)
-        self.calibrated = temperature is not None
+        self.calibrated = calibrated
         self.temperature = config.tau if temperature is None else temperature
         self.frustum: Frustum = config.frustum()
         self._tiles: OrderedDict[bytes, AerialTile] = OrderedDict()
@@ -312,14 +315,22 @@ class Localizer:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
         folder = RunFolder(Path(run))
         config, model = folder.load_model(checkpoint)
-        temperature = folder.load_temperature()
+        fitted = folder.load_calibration()
         chosen = choose_device(device)
         if bank is None:
             poses = config.grid("test_grid", grid)
             bank = build_bank(poses, config.frustum(), model.cells, cache=cache).path
         candidates, poses = load_candidates(bank, config.frustum(), model.cells)
+        priors = config.heading_prior(), config.place_prior
         return cls(
-            model.to(chosen), candidates.to(chosen), poses, config, chosen, refine, temperature
+            model.to(chosen),
+            candidates.to(chosen),
+            poses,
+            config,
+            chosen,
+            refine,
+            None if fitted is None else fitted.temperature,
+            calibrated=fitted is not None and fitted.matches(poses, checkpoint, *priors),
         )
 
     def encode_aerial(self, aerial: Picture) -> AerialTile:

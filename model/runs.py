@@ -18,15 +18,53 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 
-from model.config import TrainConfig, read_settings
+from model.config import TrainConfig
 from model.errors import ConfigError, RunError
+from model.settings import read_settings
 from model.slicematch import SliceMatch
+from slicemask import PoseGrid
 
 Checkpoint = Literal["best", "last"]
+
+
+@dataclass(frozen=True)
+class FittedTemperature:
+    """A temperature, and what gave the scores that it was fitted to.
+
+    Parameters
+    ----------
+    temperature : float
+        Greater than 0.
+    grid : PoseGrid
+        Of the candidates.
+    checkpoint : {"best", "last"}
+        Of the weights.
+    heading_prior_deg : (centre, half_width) or None
+        The run's own.
+    place_prior : (u, v, radius) or None
+        The run's own.
+    """
+
+    temperature: float
+    grid: PoseGrid
+    checkpoint: Checkpoint
+    heading_prior_deg: tuple[float, float] | None
+    place_prior: tuple[float, float, float] | None
+
+    def matches(
+        self,
+        grid: PoseGrid,
+        checkpoint: Checkpoint,
+        heading_prior_deg: tuple[float, float] | None,
+        place_prior: tuple[float, float, float] | None,
+    ) -> bool:
+        """Whether scores of these candidates and weights are those that it was fitted to."""
+        asked = (grid, checkpoint, heading_prior_deg, place_prior)
+        return asked == (self.grid, self.checkpoint, self.heading_prior_deg, self.place_prior)
 
 
 @dataclass(frozen=True)
@@ -82,26 +120,34 @@ class RunFolder:
             )
         return TrainConfig.load(self.config_file)
 
-    def load_temperature(self) -> float | None:
+    def load_calibration(self) -> FittedTemperature | None:
         """The temperature that was fitted to the run's scores; None if none was.
 
         Raises
         ------
         RunError
-            If the file that should hold it does not.
+            If the file that should hold it does not, or the folder is no run.
         """
+        config = self.load_config()
         try:
-            temperature = json.loads(self.calibration_file.read_text("utf-8"))["temperature"]
+            content = json.loads(self.calibration_file.read_text("utf-8"))
+            temperature, checkpoint = content["temperature"], content["checkpoint"]
             if not (isinstance(temperature, float) and 0.0 < temperature < math.inf):
                 raise ValueError(f"temperature is {temperature!r}")
+            if checkpoint not in get_args(Checkpoint):
+                raise ValueError(f"checkpoint is {checkpoint!r}")
+            grid = config.grid("test_grid", str(content["grid"]))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(
-                f"{self.calibration_file}: holds no temperature greater than 0 ({error!r}); "
-                "remove it, or write it anew with `slicemask calibrate`"
+                f"{self.calibration_file}: holds no temperature greater than 0 with its grid and "
+                f"checkpoint ({error!r}); remove it, or write it anew with `slicemask calibrate`"
             ) from error
-        return temperature
+        # `calibrate` takes the run's own priors.
+        return FittedTemperature(
+            temperature, grid, checkpoint, config.heading_prior(), config.place_prior
+        )
 
     def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
         """The run's settings and its model with trained weights, on the CPU, set to evaluate.
@@ -109,24 +155,14 @@ class RunFolder:
         Raises
         ------
         RunError
-            If the folder is no run, or the checkpoint is missing, is not safe to read or does
-            not fit the settings.
+            If the folder is no run, or the checkpoint is missing, is not safe to read, does not
+            fit the settings or is that of a run that diverged.
         """
         config = self.load_config()
         path = self.checkpoint(which)
-        weights = {
-            key.removeprefix("model."): value
-            for key, value in read_checkpoint(path)["state_dict"].items()
-        }
+        content = read_checkpoint(path)
         model = build_model(config, weights="none")
-        try:
-            model.load_state_dict(weights)
-        except (RuntimeError, TypeError, AttributeError) as error:
-            reason = " ".join(str(error).split())
-            raise RunError(
-                f"{path}: does not fit {self.config_file} ({reason[:200]}); both must come from "
-                "the same run"
-            ) from error
+        load_weights(model, content, path)
         return config, model.eval()
 
 
@@ -201,16 +237,57 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
-def choose_device(device: str) -> torch.device:
-    """The device of a name; "auto" is CUDA where it is there, else the CPU.
+def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> None:
+    """Give a model the weights of a checkpoint that was read from a path.
+
+    Raises
+    ------
+    RunError
+        If they do not fit the model, or are not finite.
+    """
+    weights = {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    try:
+        model.load_state_dict(weights)
+    except (RuntimeError, TypeError, AttributeError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(
+            f"{path}: does not fit the run's config.yaml ({reason[:200]}); both must come from "
+            "the same run"
+        ) from error
+    if not all(bool(value.isfinite().all()) for value in weights.values()):
+        raise RunError(
+            f"{path}: holds weights that are not finite numbers, so the run has diverged; train "
+            "anew with a lower learning rate"
+        )
+
+
+def device_name(name: str) -> str:
+    """The kind of device that a name stands for: "auto" is CUDA where it is there, else the CPU.
 
     Raises
     ------
     ConfigError
-        If there is no such device.
+        If it is Apple's mps: masks of exact poses are computed in float64, which it lacks.
     """
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
+    if name.split(":")[0] == "mps":
+        raise ConfigError(
+            f"device {name!r} cannot be used (it has no float64, in which masks are computed); "
+            "choose auto, cpu or cuda"
+        )
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    return "cuda" if name == "gpu" else name  # Lightning's gpu may be an mps
+
+
+def choose_device(device: str) -> torch.device:
+    """The device of a name, as in `device_name`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such device, or it cannot be used.
+    """
+    device = device_name(device)
     try:
         chosen = torch.device(device)
         torch.empty(0, device=chosen)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from torch import Tensor, nn
 
-from model.aggregation import AerialAttention, GroundAggregator, aerial_descriptors
+from model.aggregation import AerialAttention, GroundAggregator
 from model.encoders import Encoder
 from model.errors import ConfigError
 from model.scoring import Candidates, score_candidates
@@ -80,25 +80,6 @@ class SliceMatch(nn.Module):
     def attend(self, aerial: Tensor, ground: Tensor) -> Tensor:
         """Attention maps M_a^n [B, N, L, L] of z_a [B, C, L, L] for d_g^n [B, N, C]."""
         return self.aerial_attention(aerial, ground)
-
-    def descriptors(self, ground: Tensor, aerial: Tensor, masks: Tensor) -> Tensor:
-        """Aerial descriptors of poses.
-
-        Parameters
-        ----------
-        ground : float [B, N, C]
-            What `encode_ground` gives.
-        aerial : float [B, C, L, L]
-            What `encode_aerial` gives.
-        masks : float [B, K, N, L, L]
-            The poses' slice masks.
-
-        Returns
-        -------
-        descriptors : float [B, K, N, C]
-            Unit length, or zero for an empty slice.
-        """
-        return aerial_descriptors(aerial, self.attend(aerial, ground), masks.to(aerial))
 
     def score(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
         """Scores of candidates.

@@ -29,10 +29,12 @@ from model.losses import contrastive_loss
 from model.metrics import pose_errors
 from model.negatives import jittered_candidates, near_poses
 from model.refinement import Domain
-from model.runs import RunFolder, build_model, read_checkpoint
+from model.runs import RunFolder, build_model, device_name, load_weights, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks
+from slicemask.bank.threads import thread_count
+from slicemask.files import written_whole
 from slicemask.plot import save_figure
 
 import lightning.pytorch as lightning  # isort: skip
@@ -80,7 +82,8 @@ def train(
     Raises
     ------
     RunError
-        If the folder holds something already, or another run than the one to resume.
+        If the folder holds something already, or another run than the one to resume; or if the
+        loss is finite no longer.
     ConfigError, WeightsError, DatasetError
         If the settings, weights or data cannot be used.
     """
@@ -96,22 +99,22 @@ def train(
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     training = config.dataset("train")
     validation = config.dataset("validation") if config.validation_fraction > 0 else None
+    datasets = [training] if validation is None else [training, validation]
     if config.hfov_deg is None:
         config = replace(config, hfov_deg=training.hfov_deg)
     last = run.checkpoint("last")
     resuming = resume and last.is_file()
-    first_epoch = 0
     if resuming:
         _check_same(run, config)
-        first_epoch = _finished_epoch(last) + 1
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
     model = build_model(config, weights="none" if resuming else None)
+    first_epoch = _finished_epoch(last, model) + 1 if resuming else 0
     grids = {name: config.grid(name) for name in ("train_grid", "test_grid")}
     train_candidates, test_candidates = (
         _candidates(config, grid, model.cells, cache) for grid in grids.values()
     )
 
-    callbacks = [*_checkpoints(run, validated=validation is not None), _Metrics(run)]
+    callbacks = [*_checkpoints(run, validated=validation is not None), _Metrics(run), _Moved()]
     if config.heat_map_every:
         shown = training if validation is None else validation
         callbacks.append(_Example(run, shown, grids["test_grid"], config.heat_map_every))
@@ -122,10 +125,12 @@ def train(
     if is_first_process():
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
-    bad_samples = BadSamples(run.bad_samples_file, config.bad_samples)
-    for dataset in (training, validation):
-        if dataset is not None:
-            dataset.bad_samples = bad_samples
+        _warn_of_places_outside(config, datasets)
+    bad_samples = BadSamples(
+        run.bad_samples_file, config.bad_samples, keep=resuming or not is_first_process()
+    )
+    for dataset in datasets:
+        dataset.bad_samples = bad_samples
     module = TrainingModule(config, model, train_candidates, test_candidates)
     data = _Data(config, training, validation, first_epoch)
     with warnings.catch_warnings():
@@ -162,12 +167,34 @@ def _check_same(run: RunFolder, config: TrainConfig) -> None:
             )
 
 
-def _finished_epoch(checkpoint: Path) -> int:
-    """The number of the epoch that a checkpoint was written after."""
-    epoch = read_checkpoint(checkpoint).get("epoch")
+def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
+    """The number of the epoch that a checkpoint was written after, if it can be resumed from."""
+    content = read_checkpoint(checkpoint)
+    epoch = content.get("epoch")
     if not isinstance(epoch, int) or epoch < 0:
         raise RunError(f"{checkpoint}: names no finished epoch; it cannot be resumed from")
+    for part in ("optimizer_states", "lr_schedulers", "loops"):
+        if part not in content:
+            raise RunError(
+                f"{checkpoint}: holds weights but no {part}, so it cannot be resumed from; put the "
+                "run's own last.ckpt back, or train into another folder"
+            )
+    load_weights(model, content, checkpoint)
     return epoch
+
+
+def _warn_of_places_outside(config: TrainConfig, datasets: list[PoseDataset]) -> None:
+    """Say how many true places no candidate can find."""
+    outside = sum(
+        dataset.count_outside(config.extent, place_prior=config.place_prior) for dataset in datasets
+    )
+    if outside:
+        log.warning(
+            "%d of the %d true places to train and validate with lie outside the extent or the "
+            "place prior, where no candidate can find them",
+            outside,
+            sum(map(len, datasets)),
+        )
 
 
 def _candidates(
@@ -197,11 +224,18 @@ def _checkpoints(run: RunFolder, validated: bool) -> list[lightning.Callback]:
 def _trainer(
     config: TrainConfig, run: RunFolder, callbacks: list[lightning.Callback], progress: bool
 ) -> lightning.Trainer:
+    accelerator = device_name(config.accelerator)
+    processors = thread_count(None)
+    if accelerator == "cpu" and config.devices > processors:
+        raise ConfigError(
+            f"devices is {config.devices}; on the CPU each is a process, so it must be at most "
+            f"{processors}, the number of processors"
+        )
     try:
         return lightning.Trainer(
             default_root_dir=run.path,
             max_epochs=config.epochs,
-            accelerator=config.accelerator,
+            accelerator=accelerator,
             devices=config.devices,
             # Some backbones have parameters beyond the stage they are cut at.
             strategy="ddp_find_unused_parameters_true" if config.devices > 1 else "auto",
@@ -261,7 +295,7 @@ class TrainingModule(lightning.LightningModule):
                 model.cells,
                 config.seed,
             )
-        self._estimates: list[tuple[Tensor, Tensor, Tensor]] = []
+        self._estimates: list[tuple[Tensor, ...]] = []
 
     def configure_optimizers(self) -> torch.optim.Optimizer | dict[str, Any]:
         """Adam, as in the paper, with its constant learning rate or the one-cycle schedule."""
@@ -311,6 +345,7 @@ class TrainingModule(lightning.LightningModule):
             masks = masks.unflatten(0, near.shape[:2])
             scores = torch.cat([scores, score_masks(ground, aerial, attention, masks)], dim=1)
         loss = contrastive_loss(truth, scores, self.config.alpha, self.config.tau).mean()
+        self._check_finite("training loss", loss)
         self.log(
             "train/loss",
             loss,
@@ -321,6 +356,18 @@ class TrainingModule(lightning.LightningModule):
             sync_dist=True,
         )
         return loss
+
+    def _check_finite(self, what: str, values: Tensor) -> None:
+        """Stop where numbers are finite no longer, before a checkpoint is written."""
+        finite = bool(values.isfinite().all())
+        # All devices stop together: one that went on would wait for the others for ever.
+        if not self.trainer.strategy.reduce_boolean_decision(finite):
+            raise RunError(
+                f"the {what} of epoch {self.current_epoch} is not finite: training with "
+                f"learning_rate {self.config.learning_rate:g} has diverged; the checkpoints of "
+                "epochs before, if any, are kept; train into another folder with a lower "
+                "learning_rate"
+            )
 
     def _negatives(self) -> Candidates:
         """The training grid, or one of its offsets at random."""
@@ -334,19 +381,20 @@ class TrainingModule(lightning.LightningModule):
         if batch is None:  # no sample of it could be read
             return
         scores = self.model(batch["ground"], batch["aerial"], self.test_candidates)
-        best = scores.argmax(dim=1).cpu()
-        estimates = torch.from_numpy(self.test_candidates.poses)[best]
+        best = scores.max(dim=1)
+        estimates = torch.from_numpy(self.test_candidates.poses)[best.indices.cpu()]
         metres = batch["metres_per_pixel"].cpu() * batch["aerial"].shape[-1]
-        self._estimates.append((estimates, batch["pose"].cpu(), metres))
+        self._estimates.append((best.values.cpu(), estimates, batch["pose"].cpu(), metres))
 
     def on_validation_epoch_end(self) -> None:
         """Log mean and median errors."""
         if not self._estimates:
             return
-        estimates, truths, metres = (
+        scores, estimates, truths, metres = (
             torch.cat(parts) for parts in zip(*self._estimates, strict=True)
         )
         self._estimates.clear()
+        self._check_finite("validation score", scores)
         found = pose_errors(estimates.numpy(), truths.numpy(), metres.numpy()).summary()
         for name, value in found.items():
             if "recall" not in name:
@@ -416,7 +464,8 @@ class _Metrics(lightning.Callback):
         if trainer.is_global_zero and self.path.exists():
             lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
             kept = "".join(lines[: trainer.current_epoch])
-            self.path.write_text(kept, encoding="utf-8")
+            with written_whole(self.path, RunError) as partial:
+                partial.write_text(kept, encoding="utf-8")
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, _: lightning.LightningModule) -> None:
         if not trainer.is_global_zero:
@@ -428,7 +477,30 @@ class _Metrics(lightning.Callback):
         }
         line = {"epoch": trainer.current_epoch, "step": trainer.global_step, **metrics}
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+            file.write(json.dumps(line, allow_nan=False) + "\n")
+
+
+class _Moved(lightning.Callback):
+    """Lets a run whose folder was moved know its best checkpoint and score again."""
+
+    def on_load_checkpoint(
+        self, trainer: lightning.Trainer, _: lightning.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        folder = str(trainer.checkpoint_callback.dirpath)
+        for state in checkpoint["callbacks"].values():
+            before = state.get("dirpath")
+            if not before:
+                continue
+            moved = {
+                name: folder + value.removeprefix(before)
+                for name, value in state.items()
+                if isinstance(value, str) and value.startswith(before)
+            }
+            scores = {
+                folder + path.removeprefix(before): score
+                for path, score in state["best_k_models"].items()
+            }
+            state.update(moved, best_k_models=scores)
 
 
 class _Example(lightning.Callback):

@@ -208,10 +208,16 @@ def fit_temperature(scores: NDArray[np.float32], truths: NDArray[np.int64]) -> t
     Raises
     ------
     ConfigError
-        If there is no sample.
+        If there is no sample, or a score is NaN or infinite, or that of a true candidate -inf.
     """
     if len(scores) == 0:
         raise ConfigError("there are no samples to fit a temperature to; at least one is needed")
+    # A NaN outdoes any maximum.
+    if not (scores.max() < np.inf and scores[np.arange(len(truths)), truths].min() > -np.inf):
+        raise ConfigError(
+            "no temperature can be fitted: some scores are not finite numbers, as those of a run "
+            "that has diverged; train anew with a lower learning rate"
+        )
     found = minimize_scalar(
         lambda log_temperature: mean_nll(scores, truths, math.exp(log_temperature)),
         bounds=(math.log(_LEAST), math.log(_MOST)),

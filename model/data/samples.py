@@ -3,10 +3,9 @@
 import json
 import logging
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -41,6 +40,10 @@ class DataConfig:
     augment : bool
         Turn, mirror and recolour the samples of the training part: see `PoseDataset`. Ours; the
         paper does not.
+    extent : (u0, v0, u1, v1)
+        The part of the tile where candidates stand; the whole by default.
+    place_prior : (u, v, radius) or None
+        Candidates farther than the radius from (u, v) are left out. Neither leaves a sample out.
     seed : int
         Of the validation part and of every heading, shift and turn that is drawn.
 
@@ -56,6 +59,8 @@ class DataConfig:
     aerial_size: int = 512
     validation_fraction: float = 0.1
     augment: bool = False
+    extent: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    place_prior: tuple[float, float, float] | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -87,28 +92,12 @@ class DataConfig:
             if not holds:
                 raise DatasetError(f"{name} is {getattr(self, name)!r}; it must be {expected}")
 
-    @classmethod
-    def from_dict(cls, settings: Mapping[str, Any]) -> Self:
-        """Make settings from a mapping, as read from a file, and refuse keys that are none.
-
-        Raises
-        ------
-        DatasetError
-            If a key is unknown or a value out of its range.
-        """
-        known = [field.name for field in fields(cls)]
-        if unknown := sorted(set(settings) - set(known)):
-            raise DatasetError(
-                f"data setting {unknown[0]!r} is unknown; it must be one of {', '.join(known)}"
-            )
-        return cls(**settings)
-
 
 class BadSamples:
     """The samples of one run that could not be read, written down as they are met.
 
     A line of JSON per sample goes to a file at once, from whichever worker process meets it, so
-    that nothing is lost if the run ends early. A new instance begins the list anew.
+    that nothing is lost if the run ends early.
 
     Parameters
     ----------
@@ -116,13 +105,15 @@ class BadSamples:
         The file, for instance ``bad_samples.jsonl`` in the run folder.
     limit : int
         How many different bad samples to bear before the data set itself is held to be broken.
+    keep : bool
+        Go on with the list that is there, as a resumed run does, rather than begin it anew.
     """
 
-    def __init__(self, path: str | Path, limit: int = 10):
+    def __init__(self, path: str | Path, limit: int = 10, keep: bool = False):
         self.path = Path(path)
         self.limit = limit
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.write_text("", encoding="utf-8")
+        self.path.open("a" if keep else "w").close()
 
     def record(self, name: str, error: SampleError) -> None:
         """Write a bad sample down, once however often it is met.
@@ -174,8 +165,9 @@ class PoseDataset(Dataset):
 
     With `DataConfig.augment`, a training sample is shown under one of the tile's eight symmetries
     (quarter turns and mirrorings), drawn anew in every epoch: the tile is turned and mirrored, the
-    pose with it, and the ground image mirrored where the tile is. With a heading prior, only the
-    symmetries that keep its centre are drawn. Its colours change as `recolour` says.
+    pose with it, and the ground image mirrored where the tile is. Only symmetries are drawn that
+    map the extent and the priors on place and heading onto themselves, so that a true pose stays
+    among the candidates. Its colours change as `recolour` says.
 
     A sample that cannot be read raises `SampleError`, unless the data set was given a `BadSamples`:
     then it is written down there and, in training, the next readable sample stands in, so that
@@ -216,6 +208,7 @@ class PoseDataset(Dataset):
         prior = config.heading_prior_deg
         unknown = prior is None or prior == 180
         self.heading_prior_deg = None if unknown else (self.prior_centre_deg, float(prior))
+        self._symmetries = [symmetry for symmetry in SYMMETRIES if self._keeps(symmetry)]
         # In shared memory: workers that live on from epoch to epoch see the change.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
 
@@ -259,30 +252,44 @@ class PoseDataset(Dataset):
 
     def _symmetry(self, index: int) -> Symmetry:
         """The symmetry that a sample is shown under in this epoch."""
-        centre = self.prior_centre_deg
-        kept = [
-            symmetry
-            for symmetry in SYMMETRIES
-            if self.heading_prior_deg is None
-            or symmetry.pose(np.array([0.5, 0.5, centre]))[2] == centre
-        ]
-        return kept[self._random(index, "symmetry").integers(len(kept))]
+        chosen = self._random(index, "symmetry").integers(len(self._symmetries))
+        return self._symmetries[chosen]
+
+    def _keeps(self, symmetry: Symmetry) -> bool:
+        """Whether a symmetry maps the extent and the priors onto themselves."""
+        u0, v0, u1, v1 = self.config.extent
+        heading_deg = self.prior_centre_deg
+        corners = np.array([[u0, v0, heading_deg], [u1, v1, heading_deg]])
+        images = np.array([symmetry.pose(corner) for corner in corners])
+        kept = np.allclose(np.sort(images[:, :2], axis=0), corners[:, :2], rtol=0, atol=1e-9)
+        if self.config.place_prior is not None:
+            pose = np.array([*self.config.place_prior[:2], heading_deg])
+            kept &= np.allclose(symmetry.pose(pose)[:2], pose[:2], rtol=0, atol=1e-9)
+        return kept and (self.heading_prior_deg is None or images[0, 2] == heading_deg)
 
     def poses(self) -> np.ndarray:
         """All true poses, float64 [n, 3]; those of the epoch that was set, in training."""
         return np.array([self.pose(index) for index in range(len(self))]).reshape(-1, 3)
 
     def count_outside(
-        self, extent: tuple[float, float, float, float], indices: list[int] | None = None
+        self,
+        extent: tuple[float, float, float, float],
+        indices: list[int] | None = None,
+        place_prior: tuple[float, float, float] | None = None,
     ) -> int:
         """How many true places lie outside (u0, v0, u1, v1), where no candidate can find them.
 
-        Of all samples, or of those with the indices given.
-        The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is inside.
+        Or, with a place prior (u, v, radius), beyond that. Of all samples, or of those with the
+        indices given. The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is
+        inside.
         """
         u0, v0, u1, v1 = extent
         u, v, _ = self.poses()[slice(None) if indices is None else indices].T
-        return int(np.count_nonzero((u < u0) | (u > u1) | (v < v0) | (v > v1)))
+        outside = (u < u0) | (u > u1) | (v < v0) | (v > v1)
+        if place_prior is not None:
+            centre_u, centre_v, radius = place_prior
+            outside |= np.hypot(u - centre_u, v - centre_v) > radius + 1e-9
+        return int(np.count_nonzero(outside))
 
     def __len__(self) -> int:
         return len(self.names)

@@ -121,6 +121,20 @@ def test_attention_reads_like_equation_3(pair, cross_view):
     assert cross_view == bool(np.ptp(found, axis=1).max() > 1e-6)
 
 
+@pytest.mark.parametrize("cross_view", [True, False])
+def test_mixed_precision_ends_at_the_encoders(pair, cross_view):
+    ground, aerial = (features.float() for features in pair)
+    aggregator, attention = GroundAggregator(6, 5), AerialAttention(6, cross_view)
+    descriptors = aggregator(ground)
+    expected = descriptors, attention(aerial, descriptors)
+    with torch.autocast("cpu", torch.bfloat16):
+        descriptors = aggregator(ground)
+        found = descriptors, attention(aerial, descriptors)
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == torch.float32
+        assert torch.equal(one, other)
+
+
 def test_aerial_descriptors_read_like_equation_4(pair):
     frustum = Frustum(hfov_deg=90, slices=4)
     # The second camera stands in the south-east corner and looks away from the tile.

@@ -71,6 +71,14 @@ def test_yaml_there_and_back(tmp_path):
         ({"slices": True}, "slices is True; it must be a whole number"),
         ({"tau": 0}, "tau is 0.0; it must be greater than 0"),
         ({"tau": float("nan")}, "tau is nan; it must be a finite number"),
+        ({"tau": 10**400}, "tau is 1000.*; it must be a finite number"),
+        ({"tau": "1e999"}, "tau is '1e999'; it must be a finite number"),
+        ({"tau": "one"}, "tau is 'one'; it must be a finite number"),
+        ({"seed": 5_000_000_000}, "seed is 5000000000; it must be from 0 to 4294967295"),
+        ({"workers": -1}, "workers is -1; it must be at least 0"),
+        ({"root": "a\0b"}, "root is 'a.*b'; it must be text without null characters"),
+        ({"cities": ["a\0b"]}, "cities is .*; it must be a list of texts"),
+        ({"hfov_deg": 90}, "hfov_deg is 90.0; it must be 360: VIGOR's ground images are panoramas"),
         ({"ground_size": [64]}, "ground_size is .64.; it must be a list of 2 whole numbers"),
         ({"train_grid": "7x7"}, "7x7"),
         ({"extent": [0.7, 0, 0.3, 1]}, "extent"),
@@ -85,13 +93,22 @@ def test_settings_that_cannot_be(settings, said):
         TrainConfig.from_dict({"data": "vigor", "root": "data", **settings})
 
 
+def test_yaml_numbers_as_the_help_prints_them(tmp_path):
+    (tmp_path / "my.yaml").write_text("data: vigor\nroot: x\nlearning_rate: 1e-5\nalpha: 2\n")
+    config = TrainConfig.load(tmp_path / "my.yaml")
+    assert (config.learning_rate, config.alpha) == (1e-5, 2.0)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("- a\n- b\n", "holds no settings"),
         ("a: [", "cannot be read as YAML"),
+        ("a: " + "1" * 5000, "cannot be read as YAML"),
+        ("a: 2026-99-99", "cannot be read as YAML"),
         ("data: !!python/object/apply:os.system ['true']\n", "cannot be read as YAML"),
         ("data: vigor\nroot: x\nseed: -1\n", "seed is -1"),
+        ('data: vigor\nroot: "\\0"\n', "root is .*without null characters"),
     ],
 )
 def test_files_that_are_no_settings(tmp_path, text, said):

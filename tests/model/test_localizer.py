@@ -224,14 +224,31 @@ def test_a_fitted_temperature_is_used(run, vigor, cache, images, tmp_path):
     copy = shutil.copytree(run, tmp_path / "run")
     loss = Localizer.load(copy, cache=cache, device="cpu")
     assert (loss.temperature, loss.calibrated) == (0.1, False)
-    (copy / "calibration.json").write_text('{"temperature": 0.025}')
+    content = {"temperature": 0.025, "grid": "4x5x8", "checkpoint": "best"}
+    (copy / "calibration.json").write_text(json.dumps(content))
     fitted = Localizer.load(copy, cache=cache, device="cpu")
     assert (fitted.temperature, fitted.calibrated) == (0.025, True)
+    # Of other candidates or weights it is the best there is, and not fitted to them.
+    for other in ({"grid": "4x5x4"}, {"checkpoint": "last"}):
+        others = Localizer.load(copy, cache=cache, device="cpu", **other)
+        assert (others.temperature, others.calibrated) == (0.025, False)
     one, other = (some.localize(*images).probabilities for some in (loss, fitted))
     assert other.max() > one.max()
 
 
-@pytest.mark.parametrize("content", ["", "[1]", '{"temperature": 0}', '{"temperature": NaN}', "{}"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[1]",
+        '{"temperature": 0.0, "grid": "4x5x8", "checkpoint": "best"}',
+        '{"temperature": NaN, "grid": "4x5x8", "checkpoint": "best"}',
+        '{"temperature": 0.1, "grid": "4x5", "checkpoint": "best"}',
+        '{"temperature": 0.1, "grid": "4x5x8", "checkpoint": "worst"}',
+        '{"temperature": 0.1}',
+        "{}",
+    ],
+)
 def test_a_spoilt_calibration_is_refused(run, cache, tmp_path, content):
     copy = shutil.copytree(run, tmp_path / "run")
     (copy / "calibration.json").write_text(content)
@@ -318,7 +335,7 @@ def test_a_refined_evaluation_is_what_localising_gives(run, cache, vigor):
     result = json.loads((folder / "result.json").read_text())
     assert (result["refine"], result["calibrated"], result["temperature"]) == ("fine", False, 0.1)
     assert "refine fine" in evaluation.report()
-    assert "temperature 0.1 (the loss's tau, none is fitted)" in evaluation.report()
+    assert "temperature 0.1 (not fitted to these candidates)" in evaluation.report()
     grid = PoseGrid.parse("4x5x8").poses()
     assert not (evaluation.estimates[:, None] == grid).all(axis=2).any()
 

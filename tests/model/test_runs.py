@@ -13,7 +13,7 @@ from model.config import TrainConfig
 from model.data.errors import DatasetError
 from model.errors import ConfigError, RunError
 from model.localizer import Localizer
-from model.runs import RunFolder, plan_run
+from model.runs import RunFolder, choose_device, plan_run
 from model.training import train
 
 
@@ -95,13 +95,24 @@ def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, ca
     (run / "calibration.json").unlink()
     assert calibrate(run, cache=cache) == content
     assert calibrate(run, cache=cache, grid="2x2x2")["grid"] == "2x2x2"
-    assert not list(run.glob("*.part"))
+    with pytest.raises(ConfigError, match="workers is -1; it must be at least 0"):
+        calibrate(run, cache=cache, workers=-1)
+    assert not list(run.glob("*.part*"))
 
     unseen = replace(config, epochs=1, validation_fraction=0.0)
     run = train(unseen, tmp_path / "other", cache=cache, progress=False)
     assert not (run / "calibration.json").exists()
     with pytest.raises(ConfigError, match="was trained with validation_fraction 0"):
         calibrate(run, cache=cache)
+
+
+def test_a_temperature_is_fitted_to_fewer_samples_of_many_candidates(
+    config, tmp_path, cache, monkeypatch
+):
+    run = train(replace(config, epochs=1), tmp_path / "run", cache=cache, progress=False)
+    for most, samples in ((4 * 4 * 8 * 2, 2), (4 * 4 * 8 * 2 - 1, 1), (1, 1)):
+        monkeypatch.setattr("model.calibration.MOST_SCORES", most)
+        assert calibrate(run, cache=cache)["samples"] == samples
 
 
 def test_jitter_and_near_negatives_change_the_losses(config, tmp_path, cache):
@@ -182,6 +193,41 @@ def test_one_cycle_goes_up_and_then_down_to_almost_nothing(config, tmp_path, cac
         train(replace(config, epochs=5), run, resume=True, cache=cache, progress=False)
 
 
+@pytest.mark.parametrize("validation_fraction", [0.0, 0.25])
+def test_a_run_that_diverges_stops_and_keeps_the_epochs_before(
+    config, tmp_path, cache, monkeypatch, validation_fraction
+):
+    config = replace(config, epochs=2, validation_fraction=validation_fraction)
+    with pytest.raises(RunError, match=r"loss of epoch 0 is not finite: .*rate 1e\+30 has diverge"):
+        train(replace(config, learning_rate=1e30), tmp_path / "a", cache=cache, progress=False)
+    assert not (tmp_path / "a" / "calibration.json").exists()
+
+    # In the second epoch, the first one's checkpoints stay.
+    from model.training import TrainingModule
+
+    step = TrainingModule.training_step
+
+    def diverging_step(self, batch, number):
+        if self.current_epoch == 1:
+            with torch.no_grad():
+                next(self.model.parameters()).fill_(torch.inf)
+        return step(self, batch, number)
+
+    monkeypatch.setattr(TrainingModule, "training_step", diverging_step)
+    with pytest.raises(RunError, match=r"loss of epoch 1 is not finite"):
+        train(config, tmp_path / "b", cache=cache, progress=False)
+    assert [line["epoch"] for line in metrics(tmp_path / "b")] == [0]
+    for which in ("best", "last"):
+        assert all(value.isfinite().all() for value in weights(tmp_path / "b", which).values())
+
+
+def test_an_epoch_whose_last_step_diverges_leaves_no_checkpoint(config, tmp_path, cache):
+    config = replace(config, batch_size=8, learning_rate=1e30, epochs=1)  # one step
+    with pytest.raises(RunError, match=r"validation score of epoch 0 is not finite"):
+        train(config, tmp_path / "run", cache=cache, progress=False)
+    assert not (tmp_path / "run" / "checkpoints").exists()
+
+
 def test_losses_differ_from_seed_to_seed(config, tmp_path, cache):
     config = replace(config, epochs=1)
     one, again, other = (
@@ -239,6 +285,23 @@ def test_an_unreadable_sample_leaves_a_trace_and_the_epoch_goes_on(config, tmp_p
         train(replace(config, bad_samples=0), tmp_path / "b", cache=cache, progress=False)
 
 
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({}, []),
+        ({"extent": (0.45, 0.45, 0.55, 0.55)}, ["8 of the 8 true places"]),
+    ],
+)
+def test_true_places_outside_the_grid_are_counted_at_the_start(
+    config, tmp_path, cache, caplog, settings, said
+):
+    config = replace(config, epochs=1, **settings)
+    train(config, tmp_path / "run", cache=cache, progress=False)
+    found = [record.message for record in caplog.records if "true places" in record.message]
+    assert len(found) == len(said)
+    assert all(message.startswith(text) for message, text in zip(found, said, strict=True))
+
+
 def test_nothing_is_overwritten_and_nothing_left_behind(config, tmp_path, cache):
     folder = tmp_path / "run"
     folder.mkdir()
@@ -251,9 +314,28 @@ def test_nothing_is_overwritten_and_nothing_left_behind(config, tmp_path, cache)
 
 
 def test_machines_that_are_not_there(config, tmp_path, cache):
-    with pytest.raises(ConfigError, match="accelerator 'abacus'"):
-        train(replace(config, accelerator="abacus"), tmp_path / "r", cache=cache, progress=False)
-    assert not (tmp_path / "r").exists()
+    for settings, said in (
+        ({"accelerator": "abacus"}, "accelerator 'abacus'"),
+        ({"accelerator": "mps"}, "device 'mps' cannot be used .it has no float64"),
+        ({"devices": 99}, "devices is 99; on the CPU each is a process, so it must be at most"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            train(replace(config, **settings), tmp_path / "r", cache=cache, progress=False)
+        assert not (tmp_path / "r").exists()
+    with pytest.raises(ConfigError, match="device 'mps:0' cannot be used"):
+        choose_device("mps:0")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="auto is CUDA here")
+@pytest.mark.filterwarnings("ignore:GPU available but not used")
+def test_auto_is_never_mps(config, tmp_path, cache, monkeypatch):
+    """A Mac, as Lightning sees one."""
+    from lightning.pytorch.accelerators import MPSAccelerator
+
+    monkeypatch.setattr(MPSAccelerator, "is_available", staticmethod(lambda: True))
+    config = replace(config, accelerator="auto", epochs=1)
+    train(config, tmp_path / "run", cache=cache, progress=False)
+    assert choose_device("auto") == torch.device("cpu")
 
 
 def test_settings_asked_for_go_before_the_file_and_the_run(tmp_path):
@@ -297,6 +379,54 @@ def run(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "run")
 
 
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda folder: shutil.copy(folder / "best.ckpt", folder / "last.ckpt"),
+            "last.ckpt: holds weights but no optimizer_states, so it cannot be resumed from",
+        ),
+        (lambda folder: spoil_weights(folder / "last.ckpt"), "the run has diverged"),
+    ],
+)
+def test_what_cannot_be_resumed_is_left_as_it_was(run, cache, spoil, said):
+    spoil(run / "checkpoints")
+    (run / "bad_samples.jsonl").write_text('{"name": "a", "error": "b"}\n')
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    config = replace(RunFolder(run).load_config(), epochs=2)
+    with pytest.raises(RunError, match=said):
+        train(config, run, resume=True, cache=cache, progress=False)
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_a_run_that_was_moved_knows_its_best_epoch_again(config, tmp_path, cache):
+    config = replace(config, epochs=1)
+    train(config, tmp_path / "run", cache=cache, progress=False)
+    run = (tmp_path / "run").rename(tmp_path / "moved")
+    last = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
+    (state,) = (s for s in last["callbacks"].values() if s["best_model_path"].endswith("best.ckpt"))
+    assert state["best_model_score"] == metrics(run)[0]["validation/place_mean_m"]
+    state["best_model_score"].zero_()  # no epoch can be better
+    state["kth_value"].zero_()
+    for score in state["best_k_models"].values():
+        score.zero_()
+    torch.save(last, run / "checkpoints" / "last.ckpt")
+    before = (run / "checkpoints" / "best.ckpt").read_bytes()
+    train(replace(config, epochs=3), run, resume=True, cache=cache, progress=False)
+    assert (run / "checkpoints" / "best.ckpt").read_bytes() == before
+    assert sorted(path.name for path in (run / "checkpoints").iterdir()) == [
+        "best.ckpt",
+        "last.ckpt",
+    ]
+
+
+def test_a_resumed_run_keeps_its_list_of_bad_samples(run, cache):
+    (run / "bad_samples.jsonl").write_text('{"name": "a", "error": "b"}\n')
+    config = replace(RunFolder(run).load_config(), epochs=2)
+    train(config, run, resume=True, cache=cache, progress=False)
+    assert (run / "bad_samples.jsonl").read_text() == '{"name": "a", "error": "b"}\n'
+
+
 def test_a_hostile_checkpoint_runs_nothing(run, tmp_path, cache):
     sprung = tmp_path / "sprung"
     for which in ("best", "last"):
@@ -309,6 +439,12 @@ def test_a_hostile_checkpoint_runs_nothing(run, tmp_path, cache):
     with pytest.raises(RunError, match=r"last.ckpt: is not a checkpoint of plain values"):
         train(replace(config, epochs=2), run, resume=True, cache=cache, progress=False)
     assert not sprung.exists()
+
+
+def spoil_weights(path):
+    content = torch.load(path, weights_only=True)
+    next(iter(content["state_dict"].values())).fill_(torch.nan)
+    torch.save(content, path)
 
 
 @pytest.mark.parametrize(
@@ -326,6 +462,7 @@ def test_a_hostile_checkpoint_runs_nothing(run, tmp_path, cache):
             "does not fit",
         ),
         (lambda run: (run / "config.yaml").write_text("evil: 1"), "'evil' is unknown"),
+        (lambda run: spoil_weights(run / "checkpoints/best.ckpt"), "the run has diverged"),
     ],
 )
 def test_spoilt_runs_are_refused_in_one_sentence(run, cache, spoil, said):

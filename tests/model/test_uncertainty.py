@@ -126,6 +126,11 @@ def test_a_temperature_is_found_again():
         assert mean_nll(scores, truths, other) > nll
     with pytest.raises(ConfigError, match="at least one is needed"):
         fit_temperature(scores[:0], truths[:0])
+    for value, place in ((np.nan, 3), (np.inf, 3), (-np.inf, truths[0])):
+        spoilt = scores[:2].copy()
+        spoilt[0, place] = value
+        with pytest.raises(ConfigError, match="some scores are not finite"):
+            fit_temperature(spoilt, truths[:2])
 
 
 def test_calibration_errors():

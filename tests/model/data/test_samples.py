@@ -11,7 +11,6 @@ from model.data import (
     BadSamples,
     DatasetError,
     ImageError,
-    KittiConfig,
     SampleError,
     VigorConfig,
     VigorDataset,
@@ -120,13 +119,8 @@ def test_a_run_s_list_starts_empty_and_says_nothing_then(tmp_path):
     again = BadSamples(path)
     assert again.entries() == {}
     assert again.report() == ""
-
-
-@pytest.mark.parametrize("config", [VigorConfig, KittiConfig])
-def test_settings_refuse_unknown_keys(config):
-    assert config.from_dict({"root": "data", "ground_size": [32, 64]}).ground_size == (32, 64)
-    with pytest.raises(DatasetError, match="data setting 'heading' is unknown; it must be one of"):
-        config.from_dict({"root": "data", "heading": 3})
+    again.record("two", SampleError("two.png: gone"))
+    assert list(BadSamples(path, keep=True).entries()) == ["two"]
 
 
 @pytest.mark.parametrize(

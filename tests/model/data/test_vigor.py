@@ -219,6 +219,8 @@ def test_labels_outside_a_candidate_extent_are_counted(make_vigor_tree, tmp_path
         dataset = open_vigor(tmp_path, cities=("Chicago",))
         assert dataset.count_outside(QUARTER) == outside
         assert dataset.count_outside((0, 0, 1, 1)) == 0
+        corner = d0 * d1 != 0
+        assert dataset.count_outside((0, 0, 1, 1), place_prior=(0.5, 0.5, 0.3)) == corner
 
 
 @pytest.mark.parametrize("augment", [False, True])
@@ -270,6 +272,35 @@ def test_augmenting_shows_all_eight_symmetries_and_keeps_a_known_heading(
     assert known == {(round(u, 9), round(v, 9)), (round(1 - u, 9), round(v, 9))}
     test = open_vigor(tmp_path, "test", cities=("Chicago",), augment=True)
     assert np.array_equal(test.pose(0)[:2], plain.pose(0)[:2])
+
+
+@pytest.mark.parametrize(
+    ("settings", "places"),
+    [
+        # Kept: everything; the mirroring that the centre line allows; the half turn; nothing.
+        ({"place_prior": (0.5, 0.5, 0.4)}, 8),
+        ({"place_prior": (0.3, 0.5, 0.4)}, 2),
+        ({"place_prior": (0.3, 0.3, 0.4)}, 2),
+        ({"place_prior": (0.3, 0.4, 0.4)}, 1),
+        ({"extent": (0.1, 0.1, 0.9, 0.9)}, 8),
+        ({"extent": (0.1, 0.0, 0.9, 1.0)}, 4),
+        ({"extent": (0.0, 0.0, 0.5, 1.0)}, 2),
+        ({"extent": (0.0, 0.0, 0.5, 1.0), "heading_prior_deg": 0}, 1),
+        ({"extent": (0.0, 0.0, 0.5, 1.0), "place_prior": (0.2, 0.4, 0.4)}, 1),
+    ],
+)
+def test_augmenting_keeps_true_places_among_the_candidates(
+    make_vigor_tree, tmp_path, settings, places
+):
+    make_vigor_tree(tmp_path, pairs=1)
+    write_label(tmp_path, 41, 90)  # a place on no axis of the tile, inside all of the above
+    dataset = open_vigor(tmp_path, cities=("Chicago",), augment=True, **settings)
+    found = set()
+    for epoch in range(60):
+        dataset.set_epoch(epoch)
+        assert dataset.count_outside(dataset.config.extent, None, dataset.config.place_prior) == 0
+        found.add(tuple(dataset.pose(0)[:2].round(9)))
+    assert len(found) == places
 
 
 def test_unknown_headings_are_drawn_anew_each_epoch_and_reproducibly(make_vigor_tree, tmp_path):
