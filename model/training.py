@@ -33,9 +33,9 @@ from model.runs import RunFolder, build_model, device_name, load_weights, read_c
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks
-from slicemask.bank.threads import thread_count
 from slicemask.files import written_whole
 from slicemask.plot import save_figure
+from slicemask.threads import thread_count
 
 import lightning.pytorch as lightning  # isort: skip
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar  # isort: skip

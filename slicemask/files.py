@@ -26,9 +26,13 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
             f"{path}: its suffix is {path.suffix or 'missing'}; name a file that ends in "
             f"{' or '.join(suffixes)}"
         )
-    if path.is_dir():
+    try:
+        is_folder, has_folder = path.is_dir(), path.parent.is_dir()
+    except OSError as reason:  # a name too long, say
+        raise error(f"{path}: cannot be: {reason.strerror}; name another file") from reason
+    if is_folder:
         raise error(f"{path}: is a folder; name a file")
-    if not path.parent.is_dir():
+    if not has_folder:
         raise error(f"{path.parent}: there is no such folder; make it, or name another")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise error(f"{path.parent}: may not be written to; name another folder")
@@ -36,18 +40,24 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
 
 
 @contextmanager
-def written_whole(path: Path, error: type[SlicemaskError]) -> Iterator[Path]:
-    """A name to write to that becomes ``path`` at the end, or is removed on an error.
+def written_whole(
+    path: Path,
+    error: type[SlicemaskError],
+    remedy: str = "choose another place, or free some space",
+) -> Iterator[Path]:
+    """A name beside ``path`` to write to, which becomes it at the end, or is removed on an error.
 
-    Raises ``error`` if the file cannot be written.
+    A link at ``path`` is replaced by the file. Raises ``error``, with the remedy, if the file
+    cannot be written.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        yield partial
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(partial, path)
+        try:
+            yield partial
+            with partial.open("rb") as file:
+                os.fsync(file.fileno())
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
     except OSError as reason:
-        raise error(f"{path}: cannot be written: {reason.strerror or reason}") from reason
-    finally:
-        partial.unlink(missing_ok=True)
+        raise error(f"{path}: cannot be written: {reason.strerror or reason}; {remedy}") from reason

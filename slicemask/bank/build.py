@@ -22,7 +22,6 @@ from slicemask.bank.read import open_bank
 from slicemask.bank.rows import cut, in_order, mask_rows
 from slicemask.bank.seal import has_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
-from slicemask.bank.threads import thread_count
 from slicemask.bank.write import BankWriter
 from slicemask.errors import BankError, BankExistsError
 from slicemask.geometry.distinct import (
@@ -35,6 +34,7 @@ from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine
 from slicemask.geometry.poses import PoseGrid, check_poses
 from slicemask.shield import shielded
+from slicemask.threads import thread_count
 
 # Slices that a batch may have, and values of their masks: what bounds memory.
 _BATCH_VALUES = 1 << 26

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slicemask.bank.read import Bank
-from slicemask.bank.threads import thread_count
 from slicemask.errors import SpecError
 from slicemask.geometry.masks import Engine, slice_masks
 from slicemask.shield import shielded
+from slicemask.threads import thread_count
 
 # Half a unit in the last place of a float32 below 1, and what two engines may differ by.
 TOLERANCE = 2.0**-25 + 1e-9

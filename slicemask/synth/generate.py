@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from slicemask.errors import SynthError
 from slicemask.synth import kitti, vigor
 from slicemask.synth.files import write_text
+from slicemask.threads import thread_count
 
 # Raised with every change that alters a picture or a label.
 VERSION = 1
@@ -87,6 +88,8 @@ def generate_vigor(
     ------
     SynthError
         If an argument is out of its range, or `out` holds something else or cannot be written.
+    SpecError
+        If `jobs` is less than 1.
     """
     if not 1 <= cities <= len(vigor.CITIES):
         raise SynthError(f"cities is {cities}; VIGOR has 1 to {len(vigor.CITIES)}")
@@ -98,6 +101,7 @@ def generate_vigor(
         raise SynthError(
             f"panorama_size is {columns}x{rows}; it must be twice as wide as high, as 1024x512 is"
         )
+    jobs = thread_count(jobs)
     root = Path(out)
     _claim(
         root,
@@ -155,6 +159,8 @@ def generate_kitti(
     ------
     SynthError
         If an argument is out of its range, or `out` holds something else or cannot be written.
+    SpecError
+        If `jobs` is less than 1.
     """
     _check_at_least("frames", frames, 3)
     _check_at_least("seed", seed, 0)
@@ -164,6 +170,7 @@ def generate_kitti(
         raise SynthError(
             f"image_size is {columns}x{rows}; it must have the proportions of 1242x375"
         )
+    jobs = thread_count(jobs)
     root = Path(out)
     _claim(
         root,
@@ -194,8 +201,9 @@ def _claim(root: Path, record: dict[str, Any]) -> None:
     path = root / RECORD
     try:
         root.mkdir(parents=True, exist_ok=True)
+        # In this order: another call may be making the same data set, its record first.
+        empty = all(file.name.startswith(f".{RECORD}.") for file in root.iterdir())
         found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
-        empty = not any(root.iterdir())
     except (OSError, ValueError) as error:
         raise SynthError(
             f"{root}: cannot be used as the data set's folder ({error}); choose another"
@@ -215,12 +223,8 @@ def _claim(root: Path, record: dict[str, Any]) -> None:
     write_text(path, json.dumps(record, indent=2) + "\n")
 
 
-def _run(
-    root: Path, tasks: Sequence[_Task], jobs: int | None, progress: Progress | None
-) -> SynthResult:
-    if jobs is not None:
-        _check_at_least("jobs", jobs, 1)
-    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | None) -> SynthResult:
+    jobs = min(jobs, len(tasks))
     total = sum(task.images for task in tasks)
     done = rendered = 0
 

@@ -16,7 +16,7 @@ from shapely.geometry import LineString
 
 from slicemask.synth.cameras import Pinhole
 from slicemask.synth.city import City, lay_out_city
-from slicemask.synth.files import is_whole, write_picture, write_text
+from slicemask.synth.files import is_there, write_picture, write_text
 from slicemask.synth.render import Grade, Light, render
 from slicemask.synth.scene import Scene, View, build_scene
 from slicemask.synth.streets import at
@@ -173,7 +173,7 @@ class GroundTask:
         """Write the image unless it is there; give the number of images written."""
         plan, spec = plan_drives(self.spec), self.spec
         path = ground_path(self.root, plan.frames[self.number])
-        if is_whole(path, spec.image_size):
+        if is_there(path, spec.image_size):
             return 0
         columns, rows = spec.image_size
         x, y = plan.places[self.number].tolist()

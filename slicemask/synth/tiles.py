@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slicemask.synth.cameras import Aerial
-from slicemask.synth.files import is_whole, write_picture
+from slicemask.synth.files import is_there, write_picture
 from slicemask.synth.render import Grade, Light, render
 from slicemask.synth.scene import Scene
 
 
 def missing_tiles(paths: Sequence[Path], pixels: int) -> list[int]:
     """Which of the tiles are not there or not whole."""
-    return [k for k, path in enumerate(paths) if not is_whole(path, (pixels, pixels))]
+    return [k for k, path in enumerate(paths) if not is_there(path, (pixels, pixels))]
 
 
 def write_tiles(

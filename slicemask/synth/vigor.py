@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from slicemask.synth.cameras import Panorama
 from slicemask.synth.city import City, lay_out_city
-from slicemask.synth.files import is_whole, write_picture, write_text
+from slicemask.synth.files import is_there, write_picture, write_text
 from slicemask.synth.render import Grade, Light, render
 from slicemask.synth.scene import Scene, View, build_scene
 from slicemask.synth.tiles import missing_tiles, write_tiles
@@ -239,7 +239,7 @@ class PanoramaTask:
         """Write the panorama unless it is there; give the number of images written."""
         plan = plan_city(self.spec)
         path = self.root / plan.info.name / "panorama" / plan.panorama_names[self.number]
-        if is_whole(path, self.spec.panorama_size):
+        if is_there(path, self.spec.panorama_size):
             return 0
         rng = self.spec.random(2, self.number)
         x, y = plan.places[self.number].tolist()

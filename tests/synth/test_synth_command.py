@@ -24,6 +24,20 @@ def test_generates_then_says_that_all_is_there(tmp_path):
     assert "5 images, 0 of them rendered now" in again.output
 
 
+def test_two_at_once_make_one_data_set(tmp_path):
+    command = [sys.executable, "-c", "from cli import main; main()", "synth", "--format", "vigor"]
+    both = [
+        subprocess.Popen([*command, *SMALL, "--out", tmp_path / "city"], stderr=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    assert [(one.communicate()[1], one.returncode) for one in both] == [(b"", 0)] * 2
+    assert (
+        "0 of them rendered now"
+        in run("--format", "vigor", *SMALL, "--out", tmp_path / "city").output
+    )
+    assert list((tmp_path / "city").rglob(".*")) == []
+
+
 def test_errors_are_one_sentence(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     result = run("--format", "vigor", *SMALL, "--out", tmp_path)

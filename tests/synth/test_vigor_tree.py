@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from model.data.vigor import METRES_PER_PIXEL, VigorConfig, VigorDataset, read_labels
-from slicemask.errors import SynthError
+from slicemask.errors import SpecError, SynthError
 from slicemask.synth import generate_vigor
 from slicemask.synth.vigor import CITIES, VigorSpec, plan_city
 
@@ -158,12 +158,15 @@ def test_goes_on_where_it_stopped(vigor_options, tmp_path):
     assert calls[-1] == (11, 11)
     whole = contents(root)
     pictures = sorted(root.rglob("*.jpg"))
-    tile = next(root.rglob("*.png"))
+    tile, other = list(root.rglob("*.png"))[:2]
     pictures[0].unlink()
     pictures[1].write_bytes(pictures[1].read_bytes()[:-200])  # cut short
     tile.write_bytes(tile.read_bytes()[:500])
+    damaged = bytearray(other.read_bytes())
+    damaged[11] = 5  # the header's length
+    other.write_bytes(damaged)
     again = generate_vigor(root, jobs=1, **options)
-    assert again.rendered == 3
+    assert again.rendered == 4
     assert contents(root) == whole
     assert generate_vigor(root, jobs=1, **options).rendered == 0
 
@@ -181,12 +184,13 @@ def test_seeds_differ(vigor_options, vigor_tree, tmp_path):
         ({"panorama_size": (100, 60)}, "panorama_size is 100x60; it must be twice as wide"),
         ({"tile_size": 3}, "tile_size is 3; it must be at least 16"),
         ({"seed": -1}, "seed is -1; it must be at least 0"),
-        ({"jobs": 0}, "jobs is 0; it must be at least 1"),
+        ({"jobs": 0}, "jobs is 0; it must be a whole number of at least 1"),
     ],
 )
 def test_wrong_options_are_one_sentence(vigor_options, tmp_path, wrong, sentence):
-    with pytest.raises(SynthError, match=re.escape(sentence)):
+    with pytest.raises((SynthError, SpecError), match=re.escape(sentence)):
         generate_vigor(tmp_path / "city", **{**vigor_options, **wrong})
+    assert not (tmp_path / "city").exists()
 
 
 def test_folders_of_something_else_are_refused(vigor_tree, vigor_options, tmp_path):

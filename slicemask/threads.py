@@ -1,4 +1,4 @@
-"""How many threads to use."""
+"""How many threads or processes to use."""
 
 import os
 
@@ -7,7 +7,7 @@ from slicemask.geometry.numbers import is_whole
 
 
 def thread_count(jobs: int | None) -> int:
-    """Return the number of threads asked for, or that of the processors this process may use.
+    """Return the number asked for, or that of the processors this process may use.
 
     Raises
     ------
