@@ -5,7 +5,6 @@ import gc
 import importlib.util
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -24,6 +23,7 @@ import slicemask
 from slicemask import Frustum, PoseGrid, SlicemaskError
 from slicemask.bank.seal import VERSION
 from slicemask.bank.write import FORMAT
+from slicemask.shield import exit_on_signals
 
 
 class _Group(click.Group):
@@ -31,7 +31,7 @@ class _Group(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+        exit_on_signals()
         # What was imported is no garbage; to look for some in it, again at the end above all,
         # takes as long as a tenth of a build.
         gc.freeze()

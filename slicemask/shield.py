@@ -3,11 +3,20 @@
 Python raises KeyboardInterrupt in the main thread wherever that is: after a lock was taken and
 before the block that gives it back, in the midst of a call that HDF5 makes, while a thread starts.
 What must not end there runs on a thread of its own, which is asked to stop.
+
+Imports cannot: many a library takes any exception for an optional part that is missing. Signals
+wait until they are done.
 """
 
+import signal
+import sys
 import threading
 from collections.abc import Callable
+from types import FrameType
 from typing import TypeVar
+
+# How long a signal waits before it looks again whether an import is done.
+_AGAIN_S = 0.05
 
 _Result = TypeVar("_Result")
 
@@ -63,3 +72,24 @@ def shielded(work: Callable[[Callable[[], None]], _Result]) -> _Result:
     for error in errors:
         raise error
     return results[0]
+
+
+def exit_on_signals() -> None:
+    """Have SIGTERM exit as Ctrl-C does, in order, and neither of them strike within an import."""
+    signal.signal(signal.SIGTERM, _outside_imports)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored
+        signal.signal(signal.SIGINT, _outside_imports)
+
+
+def _outside_imports(number: int, frame: FrameType | None) -> None:
+    at = frame
+    while at is not None:
+        if at.f_code.co_filename.startswith("<frozen importlib"):
+            again = threading.Timer(_AGAIN_S, signal.raise_signal, (number,))
+            again.daemon = True
+            again.start()
+            return
+        at = at.f_back
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    sys.exit(128 + number)

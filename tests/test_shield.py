@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -50,3 +52,31 @@ def test_it_works_away_from_the_main_thread():
     thread.start()
     thread.join()
     assert results == [5]
+
+
+def test_a_signal_waits_until_an_import_is_done(tmp_path):
+    (tmp_path / "swallows.py").write_text(
+        "import os, signal, time\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    time.sleep(0.2)\n"
+        "except BaseException:\n"
+        "    pass\n"
+    )
+    code = (
+        "import time\n"
+        "from slicemask.shield import exit_on_signals\n"
+        "exit_on_signals()\n"
+        "import swallows\n"
+        "print('imported', flush=True)\n"
+        "time.sleep(10)\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.stdout, ran.stderr, ran.returncode) == ("imported\n", "", 128 + signal.SIGTERM)

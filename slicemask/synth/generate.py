@@ -5,13 +5,14 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from slicemask.errors import SynthError
+from slicemask.shield import shielded
 from slicemask.synth import kitti, vigor
 from slicemask.synth.files import write_text
 from slicemask.threads import thread_count
@@ -19,6 +20,8 @@ from slicemask.threads import thread_count
 # Raised with every change that alters a picture or a label.
 VERSION = 1
 RECORD = "synth.json"
+# How often it is looked whether to stop.
+_POLL_S = 0.1
 Progress = Callable[[int, int], None]
 
 
@@ -235,31 +238,37 @@ def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | Non
         if progress is not None:
             progress(done, total)
 
-    if progress is not None:
-        progress(0, total)
-    if jobs == 1:
-        for task in tasks:
-            count(task, task.run())
-        return SynthResult(root, total, rendered)
-    # Spawned, because forking a process that has threads, as one with torch has, can lock up.
-    context = multiprocessing.get_context("spawn")
-    # An interrupt is for this process to act on; the others end with it.
-    with ProcessPoolExecutor(
-        jobs, context, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
-    ) as pool:
-        running = {pool.submit(_run_task, task): task for task in tasks}
+    def render(check: Callable[[], None]) -> None:
+        if progress is not None:
+            progress(0, total)
+        if jobs == 1:
+            for task in tasks:
+                check()
+                count(task, task.run())
+            return
+        # Spawned, because forking a process that has threads, as one with torch has, can lock up.
+        pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+        # Its processes inherit this: an interrupt is for this one to act on, and they end with it.
+        if hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            for future in as_completed(running):
-                count(running[future], future.result())
+            running = {pool.submit(_run_task, task): task for task in tasks}
+            waiting = set(running)
+            while waiting:
+                ended, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+                check()
+                for future in ended:
+                    count(running[future], future.result())
         except BrokenProcessPool as error:
             raise SynthError(
                 f"{root}: a process that rendered was ended from outside, for want of memory "
                 f"perhaps, with {done} of {total} images done; run it again with fewer jobs than "
                 f"{jobs}, and it goes on"
             ) from error
-        except BaseException:
+        finally:
             pool.shutdown(cancel_futures=True)
-            raise
+
+    shielded(render)
     return SynthResult(root, total, rendered)
 
 
