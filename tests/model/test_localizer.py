@@ -204,9 +204,45 @@ def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localize
     turns = (poses[some, 2] - grid.pose[2] + 180) % 360 - 180
     turn = weights @ turns / weights.sum()
     assert mean.pose[2] == pytest.approx((grid.pose[2] + turn) % 360)
-    assert len(mean.modes) == len(grid.modes)
     aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine="mean")
     assert {mode.pose[2] for mode in aligned.modes} == {45.0}
+
+
+@pytest.mark.parametrize("refine", ["none", "mean", "fine", "continuous"])
+def test_modes_come_best_first_and_apart(localizer, refine):
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        ground, aerial = (
+            rng.integers(0, 256, (*size, 3), np.uint8) for size in ((32, 64), (64, 64))
+        )
+        estimate = localizer.localize(ground, aerial, refine=refine)
+        if refine != "mean":  # means keep the order of the candidates
+            scores = [mode.score for mode in estimate.modes]
+            assert scores == sorted(scores, reverse=True)
+        poses = np.array([mode.pose for mode in estimate.modes])
+        for m, pose in enumerate(poses):
+            assert not near(pose, np.delete(poses, m, axis=0), estimate.grid).any()
+
+
+@pytest.mark.parametrize("caller", [torch.no_grad, torch.inference_mode])
+@pytest.mark.parametrize("refine", ["none", "mean", "fine", "continuous"])
+def test_the_caller_need_not_keep_gradients(localizer, run, cache, images, refine, caller):
+    expected = localizer.localize(*images, refine=refine)
+    other = Localizer.load(run, cache=cache, device="cpu")
+    with caller():
+        inside = other.localize(*images, refine=refine)
+    # The tile that was kept is from inside.
+    for found in (inside, other.localize(*images, refine=refine)):
+        np.testing.assert_array_equal(found.pose, expected.pose)
+
+
+@pytest.mark.parametrize("refine", ["none", "mean", "fine", "continuous"])
+def test_a_model_that_has_diverged_is_refused(run, cache, images, refine):
+    diverged = Localizer.load(run, cache=cache, device="cpu")
+    with torch.no_grad():
+        next(diverged.model.aerial_encoder.parameters()).fill_(torch.nan)
+    with pytest.raises(RunError, match="the best score is nan; it must be finite"):
+        diverged.localize(*images, refine=refine)
 
 
 def test_probabilities_sum_to_one_and_modes_share_them(localizer, images):
