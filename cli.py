@@ -20,6 +20,7 @@ import click
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import slicemask
+from model.errors import is_out_of_memory
 from slicemask import Frustum, PoseGrid, SlicemaskError
 from slicemask.bank.seal import VERSION
 from slicemask.bank.write import FORMAT
@@ -39,9 +40,12 @@ class _Group(click.Group):
             return super().invoke(ctx)
         except SlicemaskError as error:
             raise click.ClickException(str(error)) from error
-        except MemoryError as error:
+        except (MemoryError, RuntimeError) as error:
+            if not is_out_of_memory(error):
+                raise
             raise click.ClickException(
-                "this takes more memory than there is; ask for fewer poses, slices or cells"
+                "this takes more memory than there is; ask for fewer poses, slices or cells, or "
+                "for smaller batches or images"
             ) from error
         except OSError as error:
             if error.errno == errno.EPIPE:  # a reader that has seen enough, which click handles
@@ -103,7 +107,14 @@ def _progress(what: str, unit: str) -> Iterator[Callable[[int, int], None] | Non
 
 
 def _print(as_json: bool, content: dict[str, Any], text: str) -> None:
-    click.echo(json.dumps(content, indent=2) if as_json else text)
+    if as_json:
+        try:
+            text = json.dumps(content, indent=2, allow_nan=False)
+        except ValueError as error:
+            raise click.ClickException(
+                "a figure is not finite, and JSON has no such number; ask again without --json"
+            ) from error
+    click.echo(text)
 
 
 _as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
@@ -474,7 +485,7 @@ _grid = click.option("--grid", metavar="RxCxH", help="Candidates.  [default: the
 _checkpoint = click.option(
     "--checkpoint", type=click.Choice(["best", "last"]), default="best", show_default=True
 )
-_device = click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ...")
+_device = click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda[:N].")
 _root = click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
 _workers = click.option(
     "--workers", type=int, help="Processes that load images.  [default: the run's]"
@@ -635,12 +646,17 @@ def predict(
         raise click.UsageError("--centre needs --metres-per-pixel.")
     if geojson is not None and centre is None:
         raise click.UsageError("--geojson needs --centre and --metres-per-pixel.")
+    if truth is not None and out is None:
+        raise click.UsageError("--truth is drawn in the picture; it needs --out.")
     _check_model_installed()
     from model.localizer import Localizer, check_resolution
+    from slicemask.geometry.poses import check_poses
 
+    # What can be wrong with the request is found before anything is computed or written.
     if metres_per_pixel is not None:
         check_resolution(metres_per_pixel)
-    # What can be wrong with the request is found before anything is computed or written.
+    if truth is not None:
+        check_poses([truth], iter(["the truth"]))
     if centre is not None:
         from model.geo import check_centre
 
@@ -724,7 +740,7 @@ def _certainty(estimate: Any, metres_per_pixel: float | None, calibrated: bool) 
 @click.option(
     "--runs", type=int, default=5, show_default=True, help="Repetitions; their median counts."
 )
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, ...")
+@_device
 @_cache
 @_as_json
 @click.pass_context

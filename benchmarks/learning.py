@@ -102,11 +102,25 @@ def _figures(run: Path) -> dict:
     """What one row's run came to."""
     result = json.loads((run / "unseen" / "result.json").read_text())
     samples = result["per_sample"]
+    place_m, heading_deg, probability = (
+        np.array([sample[key] for sample in samples])
+        for key in ("error_place_m", "error_heading_deg", "probability")
+    )
+    right, far, close = heading_deg <= 20, place_m > 15, place_m <= 8
     # Guessing the tile's centre knows nothing of the image.
     centre = [np.hypot(s["true_u"] - 0.5, s["true_v"] - 0.5) * s["tile_metres"] for s in samples]
     metrics = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     return {
         "errors": result["errors"],
+        "standard_errors": _standard_errors(place_m, heading_deg),
+        "readings": {
+            "heading_within_20deg": right.mean(),
+            "place_median_m_where_it_is": np.median(place_m[right]) if right.any() else None,
+            "wrong_heading_of_those_beyond_15m": (~right[far]).mean() if far.any() else None,
+            "probability_median_within_8m": np.median(probability[close]) if close.any() else None,
+            "probability_median_beyond_8m":
+                np.median(probability[~close]) if not close.all() else None,
+        },
         "floor": result["floor"],
         "centre": {"place_mean_m": np.mean(centre), "place_median_m": np.median(centre)},
         "samples": len(samples),
@@ -119,17 +133,27 @@ def _figures(run: Path) -> dict:
     }  # fmt: skip
 
 
+def _standard_errors(place_m: np.ndarray, heading_deg: np.ndarray) -> dict[str, float]:
+    """Standard errors of the means and medians: bootstrap over the samples."""
+    drawn = np.random.default_rng(0).integers(len(place_m), size=(2000, len(place_m)))
+    return {
+        f"{kind}_{statistic.__name__}_{unit}": statistic(errors[drawn], axis=1).std(ddof=1)
+        for kind, unit, errors in (("place", "m", place_m), ("heading", "deg", heading_deg))
+        for statistic in (np.mean, np.median)
+    }
+
+
 def _table(found: dict[str, dict]) -> Table:
     table = Table(
         "row", "mean m", "median m", "mean deg", "median deg", "training, processor",
-        title="Unseen city, unknown heading, 21x21x64 candidates",
+        title="Unseen city, unknown heading, 21x21x64 candidates; ± bootstrap standard errors",
     )  # fmt: skip
     for name, row in found.items():
         errors = row["errors"]
         table.add_row(
             NAMES[name],
-            *(f"{errors[key]:.2f}" for key in ("place_mean_m", "place_median_m",
-                                               "heading_mean_deg", "heading_median_deg")),
+            *(f"{errors[key]:.2f} ± {deviation:.2f}"
+              for key, deviation in row["standard_errors"].items()),
             f"{row['training']['processor_s'] / 60:.1f} min",
         )  # fmt: skip
     if found:

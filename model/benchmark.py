@@ -1,6 +1,5 @@
 """What a pose estimate costs: encoding, aggregation and scoring, each timed apart."""
 
-import re
 import statistics
 import time
 from collections.abc import Callable
@@ -11,9 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from model.errors import ConfigError
+from model.devices import choose_device
+from model.errors import ConfigError, is_out_of_memory
 from model.localizer import Localizer, load_candidates
-from model.runs import Checkpoint, choose_device
+from model.runs import Checkpoint
 from model.scoring import Candidates, score_candidates
 from model.slicematch import SliceMatch
 from slicemask import Frustum, PoseGrid, build_bank
@@ -105,7 +105,7 @@ def time_run(
     _check(batch_size, runs)
     loaded = Localizer.load(run, bank, checkpoint=checkpoint, grid=grid, device=device, cache=cache)
     sizes = loaded.config.ground_size, loaded.config.aerial_size
-    return time_stages(loaded.model, loaded.within(), *sizes, batch_size, runs)
+    return time_stages(loaded.model, loaded.within(), loaded.device, *sizes, batch_size, runs)
 
 
 def time_settings(
@@ -157,27 +157,25 @@ def time_settings(
     model = SliceMatch(encoder, weights, ground_size, aerial_size, stride, slices).eval()
     bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path
     candidates, _ = load_candidates(bank, frustum, model.cells)
-    return time_stages(
-        model.to(chosen), candidates.to(chosen), ground_size, aerial_size, batch_size, runs
-    )
+    return time_stages(model, candidates, chosen, ground_size, aerial_size, batch_size, runs)
 
 
 def time_stages(
     model: SliceMatch,
     candidates: Candidates,
+    device: torch.device,
     ground_size: tuple[int, int],
     aerial_size: int,
     batch_size: int = 1,
     runs: int = 5,
 ) -> Timings:
-    """Time a model's stages on random images, on the device where model and candidates are.
+    """Time a model's stages on random images, on a device to which model and candidates move.
 
     Raises
     ------
     ConfigError
         If there is not enough memory.
     """
-    device = candidates.index.device
 
     def encode() -> tuple[Tensor, Tensor]:
         return model.ground_encoder(ground_images), model.aerial_encoder(aerial_images)
@@ -190,14 +188,15 @@ def time_stages(
         return score_candidates(ground, aerial, attention, candidates)
 
     try:
+        model, candidates = model.to(device), candidates.to(device)
         with torch.no_grad():
             ground_images = torch.randn(batch_size, 3, *ground_size, device=device)
             aerial_images = torch.randn(batch_size, 3, aerial_size, aerial_size, device=device)
             encode_s, (ground_features, aerial) = _median_seconds(encode, runs, device)
             aggregate_s, (ground, attention) = _median_seconds(aggregate, runs, device)
             score_s, _ = _median_seconds(score, runs, device)
-    except RuntimeError as error:  # torch's, where memory is short
-        if not re.search("alloc|memory", str(error)):
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
             raise
         raise ConfigError(
             f"batches of {batch_size} with images of {ground_size} and {aerial_size} pixels take "
@@ -210,7 +209,7 @@ def time_stages(
         poses=len(candidates.poses),
         distinct_masks=len(torch.unique(candidates.index)),
         batch_size=batch_size,
-        device=str(device),
+        device=str(candidates.index.device),
         threads=torch.get_num_threads(),
     )
 

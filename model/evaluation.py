@@ -1,7 +1,10 @@
 """Errors of a trained run on a part of its data set, as numbers, tables and pictures."""
 
 import csv
+import io
 import json
+import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -9,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Subset
@@ -21,6 +25,7 @@ from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
 from model.refinement import DEFAULT, Refine, near
 from model.runs import Checkpoint
 from model.uncertainty import Calibration, region
+from slicemask.files import written_whole
 from slicemask.plot import save_figure
 
 Progress = Callable[[int, int], None]
@@ -175,7 +180,7 @@ def evaluate(
     overwrite : bool
         Replace results that are there.
     device : str
-        "auto", "cpu", "cuda", ...
+        As for `choose_device`.
     workers : int, optional
         Processes that load images; the run's own number by default.
     cache : path, optional
@@ -200,6 +205,9 @@ def evaluate(
     ConfigError, DatasetError
         If the request does not fit the run or its data.
     """
+    for option, value, least in (("limit", limit, 1), ("workers", workers, 0)):
+        if value is not None and value < least:
+            raise ConfigError(f"{option} is {value}; it must be at least {least}")
     localizer = Localizer.load(
         run, bank, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine=refine
     )
@@ -210,15 +218,12 @@ def evaluate(
     if refine != "none":
         name += f"_{refine}"
     if limit is not None:
-        if limit < 1:
-            raise ConfigError(f"limit is {limit}; it must be at least 1")
         name += f"_{limit}"
     chosen = Subset(dataset, spread(len(dataset), limit))
     folder = Path(out) if out is not None else Path(run) / "evaluation" / name
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
-    dataset.bad_samples = BadSamples(folder / "bad_samples.jsonl", config.bad_samples)
-
+    _check_folder(folder)
     settings = {
         "run": str(run),
         "checkpoint": checkpoint,
@@ -236,9 +241,12 @@ def evaluate(
         "calibrated": localizer.calibrated,
     }
     workers = config.workers if workers is None else workers
-    evaluation = _measure(settings, localizer, chosen, workers, progress)
-    _write(evaluation, folder)
-    _draw(evaluation, localizer, dataset, folder)
+    with tempfile.TemporaryDirectory() as scratch:
+        # Those met in worker processes too; `_measure` sees to the limit.
+        dataset.bad_samples = BadSamples(Path(scratch, "bad_samples.jsonl"), len(dataset))
+        evaluation = _measure(settings, localizer, chosen, workers, progress)
+        figures = _draw(evaluation, localizer, dataset)
+    _write(evaluation, figures, folder)
     return evaluation, folder
 
 
@@ -255,7 +263,13 @@ def _measure(
     workers: int,
     progress: Progress | None,
 ) -> Evaluation:
-    """Estimate the pose of every sample chosen."""
+    """Estimate the pose of every sample chosen.
+
+    Raises
+    ------
+    RunError
+        If none can be read, or more cannot than the run's settings bear.
+    """
     dataset = chosen.dataset
     loader = DataLoader(
         chosen, localizer.config.batch_size, num_workers=workers, collate_fn=collate
@@ -271,9 +285,17 @@ def _measure(
             estimates += map(_keep, found, truths)
         if progress is not None:
             progress(min(number * localizer.config.batch_size, len(chosen)), len(chosen))
-    bad_samples = dataset.bad_samples.entries()
+        bad_samples = dataset.bad_samples.entries()
+        if len(bad_samples) > localizer.config.bad_samples:
+            raise RunError(
+                f"more than {localizer.config.bad_samples} samples cannot be read; mend them, or "
+                f"name the data's root; first: {next(iter(bad_samples.values()))}"
+            )
     if not read:
-        raise RunError(f"none of the {len(chosen)} samples can be read: {bad_samples}")
+        raise RunError(
+            f"none of the {len(chosen)} samples can be read; mend them, or name the data's root; "
+            f"first: {next(iter(bad_samples.values()))}"
+        )
     poses = np.array([kept.pose for kept in estimates])
     truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
     return Evaluation(
@@ -322,18 +344,41 @@ def _keep(estimate: Estimate, truth: NDArray[np.float64]) -> _Kept:
     )
 
 
-def _write(evaluation: Evaluation, folder: Path) -> None:
-    rows = evaluation.rows()
-    with (folder / "samples.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    content = json.dumps({**evaluation.summary(), "per_sample": rows}, indent=1)
-    (folder / "result.json").write_text(content + "\n", encoding="utf-8")
+def _check_folder(folder: Path) -> None:
+    """Raise RunError if results cannot go to a folder, which need not be there."""
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise RunError(f"{there}: is no folder; name another for the results")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise RunError(f"{there}: may not be written to; name another folder for the results")
 
 
-def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, folder: Path) -> None:
-    save_figure(draw_errors(evaluation.errors, evaluation.floor), folder / "errors.png")
+def _write(evaluation: Evaluation, figures: dict[str, Figure], folder: Path) -> None:
+    """Write every file whole; ``result.json``, which says that results are there, is the last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures.items():
+        save_figure(figure, folder / f"{name}.png")
+    rows, table = evaluation.rows(), io.StringIO(newline="")
+    writer = csv.DictWriter(table, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    bad_samples = (
+        json.dumps({"name": name, "error": error}) + "\n"
+        for name, error in evaluation.bad_samples.items()
+    )
+    content = {**evaluation.summary(), "per_sample": rows}
+    for name, text in (
+        ("samples.csv", table.getvalue()),
+        ("bad_samples.jsonl", "".join(bad_samples)),
+        ("result.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
+    ):
+        with written_whole(folder / name, RunError) as partial:
+            partial.write_text(text, encoding="utf-8", newline="")
+
+
+def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) -> dict[str, Figure]:
+    """Pictures of the errors and of three cases, by name."""
+    figures = {"errors": draw_errors(evaluation.errors, evaluation.floor)}
     order = np.argsort(evaluation.errors.place_m, kind="stable")
     cases = {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
     index_of = {name: index for index, name in enumerate(dataset.names)}
@@ -343,7 +388,7 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
         metres = evaluation.tile_metres[n : n + 1]
         (estimate,) = _estimates(localizer, sample["ground"][None], sample["aerial"][None], metres)
         place_m, heading_deg = evaluation.errors.place_m[n], evaluation.errors.heading_deg[n]
-        figure = draw_estimate(
+        figures[case] = draw_estimate(
             denormalise(sample["aerial"]),
             estimate.heat_map,
             localizer.grid,
@@ -353,7 +398,7 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset, fo
             ground=denormalise(sample["ground"]),
             title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
         )
-        save_figure(figure, folder / f"{case}.png")
+    return figures
 
 
 def _estimates(

@@ -11,6 +11,7 @@ import shapely
 from shapely.geometry.polygon import orient
 
 from model.errors import ConfigError
+from model.metrics import turn_deg
 from model.uncertainty import CONFIDENCE, ellipse
 from slicemask.errors import OutputError
 from slicemask.files import check_target, written_whole
@@ -131,7 +132,9 @@ def save_geojson(collection: dict[str, Any], path: str | Path) -> None:
         nothing is left behind.
     """
     with written_whole(check_geojson_target(path), OutputError) as partial:
-        partial.write_text(json.dumps(collection, indent=1) + "\n", encoding="utf-8")
+        partial.write_text(
+            json.dumps(collection, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        )
 
 
 def check_geojson_target(path: str | Path) -> Path:
@@ -153,7 +156,7 @@ def _ellipse_geometry(
     longitude, latitude = (np.full(_CORNERS, value) for value in position)
     around, north, _ = _WGS84.fwd(longitude, latitude, azimuth, np.hypot(along, across))
     # Unwrapped around the centre, so that the ring is whole; then cut where it leaves the map.
-    east = position[0] + (np.asarray(around) - position[0] + 180.0) % 360.0 - 180.0
+    east = position[0] + turn_deg(np.asarray(around), position[0])
     parts = []
     for shift in (0.0, -360.0, 360.0):
         moved = shapely.Polygon(np.column_stack([east + shift, north]))

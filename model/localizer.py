@@ -17,6 +17,7 @@ from model.config import TrainConfig
 from model.data import normalise, read_image
 from model.data.images import check_shape, resize, turn_panorama
 from model.data.kitti import GROUND_ASPECT
+from model.devices import choose_device
 from model.errors import ConfigError
 from model.refinement import (
     DEFAULT,
@@ -25,10 +26,11 @@ from model.refinement import (
     Similarity,
     check_refine,
     find_modes,
+    keep_apart,
     near,
     refine_modes,
 )
-from model.runs import Checkpoint, RunFolder, choose_device
+from model.runs import Checkpoint, RunFolder
 from model.scoring import Candidates, score_candidates
 from model.slicematch import SliceMatch
 from model.uncertainty import covariance, mean_poses, mode_probabilities, probabilities
@@ -37,6 +39,8 @@ from slicemask import Frustum, PoseGrid, build_bank, open_bank
 Picture = str | Path | Image.Image | NDArray[np.uint8]
 # Tiles whose features are kept; those of VGG16 take 2 MB each.
 _TILES_KEPT = 8
+# Metres per pixel: beyond these no picture is one of a camera's surroundings.
+_FINEST_RESOLUTION, _COARSEST_RESOLUTION = 1e-4, 1e3
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,8 @@ class Estimate:
     Attributes
     ----------
     modes : tuple of Mode
-        Best first. The first one is the answer.
+        Best first, each beyond reach of every better one; the first one is the answer. Means are
+        as good as the best candidates around which they are taken, others as their own scores.
     scores : float32 [rows, columns, headings]
         Scores of all candidates; -inf where a prior left one out.
     grid : PoseGrid
@@ -201,8 +206,11 @@ class Estimate:
 
 def check_resolution(metres_per_pixel: float) -> float:
     """The metres per pixel, or ConfigError if they cannot be."""
-    if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
-        raise ConfigError(f"metres per pixel is {metres_per_pixel!r}; it must be greater than 0")
+    if not _FINEST_RESOLUTION <= metres_per_pixel <= _COARSEST_RESOLUTION:
+        raise ConfigError(
+            f"metres per pixel is {metres_per_pixel!r}; it must be from {_FINEST_RESOLUTION:g} to "
+            f"{_COARSEST_RESOLUTION:g}"
+        )
     return float(metres_per_pixel)
 
 
@@ -294,7 +302,7 @@ class Localizer:
         checkpoint : {"best", "last"}
             Which weights.
         device : str
-            "auto", "cpu", "cuda", ...
+            As for `choose_device`.
         cache : path, optional
             The folder of banks, as for `slicemask.build_bank`.
         refine : {"none", "mean", "fine", "continuous"}
@@ -453,8 +461,10 @@ class Localizer:
             if refine == "mean":
                 # A mean lies in the domain but for rounding.
                 means = domain.project(torch.from_numpy(mean_poses(poses, likely, self.grid)))
+                # In the order of the best candidates: a mean's own score says less of its mode.
+                poses, _ = keep_apart(means.numpy(), values, self.grid)
                 with torch.no_grad():
-                    poses, values = means.numpy(), similarity(means).double().cpu().numpy()
+                    values = similarity(torch.from_numpy(poses)).double().cpu().numpy()
             elif refine != "none":
                 metres = None if tile_metres is None else float(tile_metres[b])
                 poses, values = refine_modes(similarity, poses, self.grid, domain, refine, metres)

@@ -1,12 +1,18 @@
 """How far estimated poses are from the true ones, and how near a grid of candidates can come."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from slicemask.errors import PoseError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Angles = TypeVar("Angles", np.ndarray, "Tensor")
 
 RECALL_THRESHOLDS = (1, 5)
 
@@ -118,8 +124,20 @@ def heading_error_deg(estimates: ArrayLike, truths: ArrayLike) -> np.ndarray:
     >>> float(heading_error_deg(359.0, 2.0))
     3.0
     """
-    turn = np.abs(np.asarray(estimates, float) - np.asarray(truths, float)) % 360.0
-    return np.minimum(turn, 360.0 - turn)
+    return np.abs(turn_deg(np.asarray(estimates, float), np.asarray(truths, float)))
+
+
+def turn_deg(headings: Angles, origin: Angles | float) -> Angles:
+    """Turns from the origin to headings, clockwise, the short way round: degrees in [-180, 180).
+
+    Of NumPy arrays and of tensors.
+
+    Examples
+    --------
+    >>> turn_deg(np.array([350.0, 20.0]), 10.0)
+    array([-20.,  10.])
+    """
+    return (headings - origin + 180.0) % 360.0 - 180.0
 
 
 def recall(errors: ArrayLike, threshold: float) -> float:

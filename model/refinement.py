@@ -18,7 +18,8 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from model.aggregation import unit
-from model.errors import ConfigError
+from model.errors import ConfigError, RunError
+from model.metrics import turn_deg
 from slicemask import Frustum, PoseGrid, slice_masks
 
 Refine = Literal["none", "mean", "fine", "continuous"]
@@ -65,23 +66,27 @@ class Domain:
     place_prior: tuple[float, float, float] | None = None
 
     def project(self, poses: Tensor) -> Tensor:
-        """The poses moved into the domain, headings in [0, 360): [K, 3], differentiable.
-
-        A place prior whose centre lies outside the extent may be overstepped.
-        """
+        """The poses moved into the domain, headings in [0, 360): [K, 3], differentiable."""
         places, headings = poses[:, :2], poses[:, 2]
+        low, high = (places.new_tensor(self.extent[start : start + 2]) for start in (0, 2))
+        places = torch.maximum(torch.minimum(places, high), low)
         if self.place_prior is not None:
             *centre, radius = self.place_prior
             middle = places.new_tensor(centre)
-            away = places - middle
-            # The least length keeps the gradient finite at the prior's centre.
-            length = away.square().sum(dim=1, keepdim=True).clamp_min(1e-24).sqrt()
-            places = middle + away * (radius / length).clamp_max(1.0)
-        low, high = (places.new_tensor(self.extent[start : start + 2]) for start in (0, 2))
-        places = torch.maximum(torch.minimum(places, high), low)
+            # Towards the extent's place that is nearest to the prior's centre, and so is in both;
+            # on the way to it a place stays in the extent.
+            nearest = torch.maximum(torch.minimum(middle, high), low)
+            away, offset = places - nearest, nearest - middle
+            # The share of the way out that the prior allows: |offset + share * away| = radius. The
+            # least values keep the gradient finite where nothing is left of the way.
+            square = away.square().sum(dim=1, keepdim=True).clamp_min(1e-60)
+            along = (away * offset).sum(dim=1, keepdim=True)
+            beyond = offset.square().sum() - radius**2
+            root = (along.square() - square * beyond).clamp_min(1e-60).sqrt()
+            places = nearest + away * ((root - along) / square).clamp(0.0, 1.0)
         if self.heading_prior_deg is not None:
             centre_deg, half_width = self.heading_prior_deg
-            turn = torch.remainder(headings - centre_deg + 180.0, 360.0) - 180.0
+            turn = turn_deg(headings, centre_deg)
             headings = centre_deg + turn.clamp(-half_width, half_width)
         headings = torch.remainder(headings, 360.0)
         # A tiny negative heading wraps to 360 itself.
@@ -98,11 +103,6 @@ def near(pose: NDArray[np.float64], poses: NDArray[np.float64], grid: PoseGrid) 
     step_u, step_v, step_deg = grid_steps(grid)
     place = np.hypot(*(poses[:, :2] - pose[:2]).T) <= max(REACH, 1.5 * max(step_u, step_v))
     return place & (np.abs(turn_deg(poses[:, 2], pose[2])) <= max(REACH_DEG, 1.5 * step_deg))
-
-
-def turn_deg(headings: NDArray[np.float64], origin: float) -> NDArray[np.float64]:
-    """Turns from the origin to headings, clockwise: degrees in [-180, 180)."""
-    return (headings - origin + 180.0) % 360.0 - 180.0
 
 
 def grid_steps(grid: PoseGrid) -> tuple[float, float, float]:
@@ -134,19 +134,39 @@ def find_modes(
         Best first; at least one.
     scores : float64 [m]
         Their scores.
+
+    Raises
+    ------
+    RunError
+        If a score is NaN or infinite, or a prior left every candidate out.
     """
+    best = scores.max()  # NaN, if there is any
+    if not np.isfinite(best):
+        raise RunError(
+            f"the best score is {best}; it must be finite, but the model's weights or features are "
+            "not: take another checkpoint, or train anew with a smaller learning rate"
+        )
     highest = maximum_filter(scores, size=3, mode=("constant", "constant", "wrap"), cval=-np.inf)
     peaks = np.flatnonzero(np.isfinite(scores) & (scores == highest))
-    # A stable order: of equal scores the first candidate, as argmax has it.
-    peaks = peaks[np.argsort(-scores.ravel()[peaks], kind="stable")]
     row, column, heading = np.unravel_index(peaks, grid.shape)
     poses = np.stack([grid.u[column], grid.v[row], grid.headings_deg[heading]], axis=1)
+    return keep_apart(poses, scores.ravel()[peaks].astype(np.float64), grid, most)
+
+
+def keep_apart(
+    poses: NDArray[np.float64], scores: NDArray[np.float64], grid: PoseGrid, most: int = MODES
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Of poses [K, 3] and their scores [K] those that are modes: `most` of them, best first.
+
+    One within reach (`near`) of a better one is the same answer, and is left out.
+    """
+    # A stable order: of equal scores the first pose, as argmax has it.
+    left = np.argsort(-scores, kind="stable")
     modes: list[int] = []
-    left = np.arange(len(peaks))
     while len(left) and len(modes) < most:
         modes.append(left[0])
         left = left[~near(poses[left[0]], poses[left], grid)]
-    return poses[modes], scores.ravel()[peaks[modes]].astype(np.float64)
+    return poses[modes], scores[modes]
 
 
 def refine_modes(
@@ -178,9 +198,10 @@ def refine_modes(
 
     Returns
     -------
-    poses : float64 [m, 3]
-        A pose for each mode, best first; none scores below the mode it came from.
-    scores : float64 [m]
+    poses : float64 [at most m, 3]
+        Best first; none scores below the mode it came from. Of modes that end within reach of
+        each other the best one is kept (`keep_apart`).
+    scores : float64 [at most m]
         Their scores.
     """
     share = FINEST_SHARE if tile_metres is None else FINEST_M / tile_metres
@@ -194,8 +215,7 @@ def refine_modes(
         poses, scores = poses.clone(), scores.clone()
         for m in scores.argsort(descending=True)[:CLIMBED].tolist():
             poses[m], scores[m] = climb(score, poses[m], np.minimum(steps, finest), domain)
-    order = scores.argsort(descending=True, stable=True)
-    return poses[order].numpy(), scores[order].numpy()
+    return keep_apart(poses.numpy(), scores.numpy(), grid)
 
 
 def coarse_to_fine(
@@ -272,10 +292,12 @@ def climb(
 
     def descend(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         nonlocal best_pose, best_score
-        at = torch.from_numpy(start + x * scale)[None].requires_grad_()
-        inside = domain.project(at)
-        value = score(inside)[0]
-        (gradient,) = torch.autograd.grad(value, at)
+        # Gradients are needed here, whether or not the caller keeps any.
+        with torch.inference_mode(False), torch.enable_grad():
+            at = torch.from_numpy(start + x * scale)[None].requires_grad_()
+            inside = domain.project(at)
+            value = score(inside)[0]
+            (gradient,) = torch.autograd.grad(value, at)
         if value.item() > best_score:
             best_pose, best_score = inside.detach()[0], value.item()
         return -value.item(), -gradient[0].double().cpu().numpy() * scale
@@ -318,6 +340,14 @@ class Similarity:
     features: Tensor
     attention: Tensor
     frustum: Frustum
+
+    def __post_init__(self) -> None:
+        # Tensors made in inference mode take no part in gradients; copies made outside it do.
+        with torch.inference_mode(False):
+            for name in ("ground", "features", "attention"):
+                tensor = getattr(self, name)
+                if tensor.is_inference():
+                    object.__setattr__(self, name, tensor.clone())
 
     def __call__(self, poses: Tensor) -> Tensor:
         """Poses float64 [K, 3] to scores float [K], differentiable in the poses."""

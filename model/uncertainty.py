@@ -14,7 +14,8 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax, softmax
 
 from model.errors import ConfigError
-from model.refinement import grid_steps, near, turn_deg
+from model.metrics import turn_deg
+from model.refinement import grid_steps, near
 from slicemask import PoseGrid
 
 # The share of probability that a region of places or an ellipse is to hold.

@@ -80,7 +80,7 @@ def check_shape(image: Image.Image, path: str | Path, aspect: float, kind: str) 
         If the proportions differ; the text names the path.
     """
     width, height = image.size
-    if abs(width / height / aspect - 1) > 0.02:
+    if not width * height or abs(width / height / aspect - 1) > 0.02:
         raise ImageError(
             f"{path}: {width}x{height} pixels; {kind} must be {aspect:.4g} times as wide as high, "
             "so fetch the file anew"

@@ -161,6 +161,12 @@ def test_pictures_that_cannot_be(localizer, images):
         localizer.localize("nowhere.jpg", images[1])
     with pytest.raises(ConfigError, match=r"an aerial tile is an array float64 \[4, 4\]"):
         localizer.localize(images[0], np.zeros((4, 4)))
+    for height, width in ((0, 0), (0, 8), (8, 0)):
+        empty = np.zeros((height, width, 3), np.uint8)
+        with pytest.raises(ImageError, match=f"{width}x{height} pixels"):
+            localizer.localize(images[0], empty)
+        with pytest.raises(ImageError, match=f"{width}x{height} pixels"):
+            localizer.localize(empty, images[1])
 
 
 @pytest.mark.parametrize("refine", ["fine", "continuous"])
@@ -204,9 +210,45 @@ def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localize
     turns = (poses[some, 2] - grid.pose[2] + 180) % 360 - 180
     turn = weights @ turns / weights.sum()
     assert mean.pose[2] == pytest.approx((grid.pose[2] + turn) % 360)
-    assert len(mean.modes) == len(grid.modes)
     aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine="mean")
     assert {mode.pose[2] for mode in aligned.modes} == {45.0}
+
+
+@pytest.mark.parametrize("refine", ["none", "mean", "fine", "continuous"])
+def test_modes_come_best_first_and_apart(localizer, refine):
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        ground, aerial = (
+            rng.integers(0, 256, (*size, 3), np.uint8) for size in ((32, 64), (64, 64))
+        )
+        estimate = localizer.localize(ground, aerial, refine=refine)
+        if refine != "mean":  # means keep the order of the candidates
+            scores = [mode.score for mode in estimate.modes]
+            assert scores == sorted(scores, reverse=True)
+        poses = np.array([mode.pose for mode in estimate.modes])
+        for m, pose in enumerate(poses):
+            assert not near(pose, np.delete(poses, m, axis=0), estimate.grid).any()
+
+
+@pytest.mark.parametrize("caller", [torch.no_grad, torch.inference_mode])
+@pytest.mark.parametrize("refine", ["none", "mean", "fine", "continuous"])
+def test_the_caller_need_not_keep_gradients(localizer, run, cache, images, refine, caller):
+    expected = localizer.localize(*images, refine=refine)
+    other = Localizer.load(run, cache=cache, device="cpu")
+    with caller():
+        inside = other.localize(*images, refine=refine)
+    # The tile that was kept is from inside.
+    for found in (inside, other.localize(*images, refine=refine)):
+        np.testing.assert_array_equal(found.pose, expected.pose)
+
+
+@pytest.mark.parametrize("refine", ["none", "mean", "fine", "continuous"])
+def test_a_model_that_has_diverged_is_refused(run, cache, images, refine):
+    diverged = Localizer.load(run, cache=cache, device="cpu")
+    with torch.no_grad():
+        next(diverged.model.aerial_encoder.parameters()).fill_(torch.nan)
+    with pytest.raises(RunError, match="the best score is nan; it must be finite"):
+        diverged.localize(*images, refine=refine)
 
 
 def test_probabilities_sum_to_one_and_modes_share_them(localizer, images):
@@ -306,6 +348,7 @@ def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
     result = json.loads((folder / "result.json").read_text())
     assert [row["name"] for row in rows] == [s["name"] for s in result["per_sample"]]
     assert len(rows) == 5
+    assert (folder / "bad_samples.jsonl").read_text() == ""
     for n, (row, sample) in enumerate(zip(rows, result["per_sample"], strict=True)):
         _, _, d0, d1 = vigor.labels["Chicago"][n]
         assert float(row["true_u"]) == sample["true_u"] == 0.5 - d1 / 640
@@ -362,6 +405,51 @@ def test_an_evaluation_of_some_samples_takes_them_from_all_over(run, cache):
     assert len(evaluate(run, limit=99, cache=cache, device="cpu")[0].names) == 5
     with pytest.raises(ConfigError, match="limit is 0; it must be at least 1"):
         evaluate(run, limit=0, cache=cache, device="cpu")
+    with pytest.raises(ConfigError, match="workers is -1; it must be at least 0"):
+        evaluate("nowhere", workers=-1)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_an_evaluation_that_fails_leaves_what_was_there(
+    slicemask, run, cache, vigor, tmp_path, workers
+):
+    out, root = tmp_path / "out", shutil.copytree(vigor.root, tmp_path / "vigor")
+    assert slicemask("evaluate", "--out", out).exit_code == 0
+    before = contents(out)
+    broken = sorted((root / "Chicago" / "satellite").iterdir())
+    for path in broken:
+        path.unlink()
+    options = ["--root", root, "--workers", workers]
+    for folder in (out, tmp_path / "new"):
+        result = slicemask("evaluate", *options, "--out", folder, "--overwrite")
+        assert result.exit_code == 1
+        (line,) = result.stderr.splitlines()
+        assert "none of the 5 samples can be read" in line
+        assert sum(str(path) in line for path in broken) == 1
+    assert contents(out) == before
+    assert not (tmp_path / "new").exists()
+
+
+def test_more_bad_samples_than_the_run_bears(run, cache, vigor, tmp_path):
+    few = shutil.copytree(run, tmp_path / "run")
+    config = (few / "config.yaml").read_text()
+    (few / "config.yaml").write_text(config.replace("bad_samples: 10", "bad_samples: 1"))
+    root = shutil.copytree(vigor.root, tmp_path / "vigor")
+    for path in sorted((root / "Chicago" / "satellite").iterdir())[:2]:
+        path.write_bytes(b"no picture")
+    with pytest.raises(RunError, match="more than 1 samples cannot be read"):
+        evaluate(few, root=str(root), out=tmp_path / "out", cache=cache, device="cpu")
+    assert not (tmp_path / "out").exists()
+
+
+def test_results_that_cannot_be_written_are_refused_first(run, cache, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match="file: is no folder; name another"):
+        evaluate(run, out=tmp_path / "file" / "out", cache=cache, device="cpu")
 
 
 def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
@@ -373,8 +461,11 @@ def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
     )
     assert len(evaluation.names) == len(evaluation.estimates) == 4
     assert "1 samples could not be read" in evaluation.report()
-    (fault,) = json.loads((folder / "result.json").read_text())["bad_samples"].values()
+    result = json.loads((folder / "result.json").read_text())
+    ((name, fault),) = result["bad_samples"].items()
     assert str(broken) in fault
+    (line,) = (folder / "bad_samples.jsonl").read_text().splitlines()
+    assert json.loads(line) == {"name": name, "error": fault}
 
 
 @pytest.fixture
@@ -423,7 +514,13 @@ PLACE = ("--centre", "1,2", "--metres-per-pixel", "1")
         (["--centre", "95,2", "--metres-per-pixel", "1"], "the tile's centre is 95,2"),
         (["--centre", "5,2", "--metres-per-pixel", "0"], "metres per pixel is 0.0"),
         (["--centre", "5", "--metres-per-pixel", "1"], "'5' is not lat,lon"),
+        (["--centre", "5,2", "--metres-per-pixel", "1e300"], "it must be from 0.0001 to 1000"),
+        (["--metres-per-pixel", "1e-13"], "metres per pixel is 1e-13"),
+        (["--metres-per-pixel", "nan"], "metres per pixel is nan"),
         (["--refine", "finest"], "'finest' is not one of"),
+        (["--truth", "0.5,0.5,0"], "--truth is drawn in the picture; it needs --out"),
+        (["--truth", "5,5,nan", "--out", "{0}/a.png"], "the truth is not finite: u=5, v=5"),
+        (["--truth", "5,5,0", "--out", "{0}/a.png"], "the truth lies outside the tile"),
     ],
 )
 def test_predict_says_what_it_lacks(slicemask, images, tmp_path, options, said):
@@ -433,6 +530,16 @@ def test_predict_says_what_it_lacks(slicemask, images, tmp_path, options, said):
     assert said in result.stderr
     assert "Traceback" not in result.output
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("device", ["meta", "mps", "xpu", "cuda:99", "abacus"])
+@pytest.mark.parametrize("command", ["predict", "evaluate", "benchmark"])
+def test_devices_that_cannot_be(slicemask, images, command, device):
+    pair = ["--ground", images[0], "--aerial", images[1]] if command == "predict" else []
+    result = slicemask(command, *pair, "--device", device)
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"Error: device '{device}' cannot be used (")
 
 
 @pytest.mark.parametrize("command", ["predict", "evaluate"])

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from model.aggregation import unit
-from model.errors import ConfigError
+from model.errors import ConfigError, RunError
 from model.refinement import (
     DEFAULT,
     MODES,
@@ -19,6 +19,7 @@ from model.refinement import (
     coarse_to_fine,
     find_modes,
     grid_steps,
+    keep_apart,
     near,
     refine_modes,
 )
@@ -169,7 +170,38 @@ def test_projection_wraps_headings_and_keeps_gradients():
     assert gradient[0].tolist() == [1.0, 1.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    "prior", [(0.5, 0.5, 0.1), (-0.2, 0.5, 0.4), (1.3, 1.2, 0.7), (0.95, 0.5, 0.3), (0.5, 0.5, 0)]
+)
+def test_a_place_lies_in_the_extent_and_the_prior_wherever_its_centre_is(prior):
+    rng = np.random.default_rng(0)
+    poses = torch.from_numpy(rng.uniform(-0.5, 1.5, (500, 3))).requires_grad_()
+    inside = Domain(place_prior=prior).project(poses)
+    assert ((inside[:, :2] >= 0) & (inside[:, :2] <= 1)).all()
+    away = inside[:, :2].detach().numpy() - prior[:2]
+    assert (np.hypot(*away.T) <= prior[2] + 1e-12).all()
+    again = Domain(place_prior=prior).project(inside)
+    torch.testing.assert_close(again, inside, rtol=0, atol=1e-12)
+    (gradient,) = torch.autograd.grad(inside.sum(), poses)
+    assert torch.isfinite(gradient).all()
+    there = (poses[:, :2] - poses.new_tensor(prior[:2])).square().sum(dim=1) <= prior[2] ** 2
+    there &= ((poses[:, :2] >= 0) & (poses[:, :2] <= 1)).all(dim=1)
+    torch.testing.assert_close(inside[there, :2], poses[there, :2], rtol=0, atol=1e-15)
+    assert prior[2] == 0 or there.any()
+
+
 # The modes.
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf])
+@pytest.mark.parametrize("where", [(0, 0, 0), slice(None)])
+def test_scores_that_are_not_finite_are_refused(spoilt, where):
+    scores = np.zeros(GRID.shape, dtype=np.float32)
+    scores[where] = spoilt
+    with pytest.raises(RunError, match=f"the best score is {spoilt}; it must be finite"):
+        find_modes(scores, GRID)
+    with pytest.raises(RunError, match="the best score is -inf"):
+        find_modes(np.full(GRID.shape, -np.inf, dtype=np.float32), GRID)
 
 
 def test_modes_are_peaks_apart_from_each_other():
@@ -229,16 +261,40 @@ def test_no_answer_scores_below_its_start():
     def rough(poses):
         return torch.cos((poses * torch.tensor([1.0, 1.0, 0.01])) @ waves.T).sum(dim=1)
 
-    modes, values = find_modes(on_grid(rough), GRID)
-    fine, fine_values = refine_modes(rough, modes, GRID, Domain(), "fine", 72.5)
-    _, top_values = refine_modes(rough, modes, GRID, Domain(), "continuous", 72.5)
-    assert (fine_values >= values.min()).all()
-    assert fine_values[0] >= values[0]
-    assert top_values[0] >= fine_values[0]
+    modes, values = map(torch.from_numpy, find_modes(on_grid(rough), GRID))
+    assert len(modes) == MODES
+    finest = np.array([0.25 / 72.5, 0.25 / 72.5, 0.5])
+    fine, fine_values = coarse_to_fine(rough, modes, values, STEPS, finest, Domain())
+    assert (fine_values > values).all()
+    np.testing.assert_allclose(rough(fine), fine_values)
     for pose, value in zip(fine, fine_values, strict=True):
-        _, reached = climb(rough, torch.from_numpy(pose), STEPS, Domain())
-        assert reached >= value
-    np.testing.assert_allclose(rough(torch.from_numpy(fine)), fine_values)
+        reached, top = climb(rough, pose, finest, Domain())
+        assert top > value
+        assert rough(reached[None]).item() == pytest.approx(top)
+    _, answer = refine_modes(rough, modes.numpy(), GRID, Domain(), "fine", 72.5)
+    _, best = refine_modes(rough, modes.numpy(), GRID, Domain(), "continuous", 72.5)
+    assert answer[0] == fine_values.max()
+    assert best[0] > answer[0]
+
+
+@pytest.mark.parametrize("how", ["fine", "continuous"])
+def test_refined_modes_that_meet_are_one_answer(how):
+    """Two candidates beyond each other's reach, and a peak in the middle that both climb."""
+    grid = PoseGrid(1, 7, 1)
+    truth = [0.5, 0.5, 0.0]
+    modes = np.array([[grid.u[column], 0.5, 0.0] for column in (2, 4)])
+    assert not near(modes[0], modes[1:], grid).any()
+    poses, scores = refine_modes(bump(truth), modes, grid, Domain(), how)
+    assert len(poses) == len(scores) == 1
+    assert scores[0] > bump(truth)(torch.from_numpy(modes)).max()
+
+
+def test_of_poses_within_reach_the_better_one_is_kept():
+    poses = np.array([[0.2, 0.2, 10], [0.8, 0.8, 0], [0.25, 0.2, 350], [0.2, 0.2, 90]], float)
+    kept, scores = keep_apart(poses, np.array([0.5, 0.7, 0.6, 0.4]), GRID)
+    assert kept.tolist() == poses[[1, 2, 3]].tolist()
+    assert scores.tolist() == [0.7, 0.6, 0.4]
+    assert len(keep_apart(poses, np.array([0.5, 0.7, 0.6, 0.4]), GRID, most=2)[0]) == 2
 
 
 def test_a_flat_score_moves_nothing():
