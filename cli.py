@@ -20,7 +20,6 @@ import click
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import slicemask
-from model.errors import is_out_of_memory
 from slicemask import Frustum, PoseGrid, SlicemaskError
 from slicemask.bank.seal import VERSION
 from slicemask.bank.write import FORMAT
@@ -41,6 +40,8 @@ class _Group(click.Group):
         except SlicemaskError as error:
             raise click.ClickException(str(error)) from error
         except (MemoryError, RuntimeError) as error:
+            from model.errors import is_out_of_memory
+
             if not is_out_of_memory(error):
                 raise
             raise click.ClickException(

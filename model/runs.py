@@ -23,7 +23,7 @@ from typing import Any, Literal, get_args
 import torch
 
 from model.config import TrainConfig
-from model.errors import ConfigError, RunError
+from model.errors import RunError
 from model.settings import read_settings
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid
@@ -259,41 +259,3 @@ def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> N
             f"{path}: holds weights that are not finite numbers, so the run has diverged; train "
             "anew with a lower learning rate"
         )
-
-
-def device_name(name: str) -> str:
-    """The kind of device that a name stands for: "auto" is CUDA where it is there, else the CPU.
-
-    Raises
-    ------
-    ConfigError
-        If it is Apple's mps: masks of exact poses are computed in float64, which it lacks.
-    """
-    if name.split(":")[0] == "mps":
-        raise ConfigError(
-            f"device {name!r} cannot be used (it has no float64, in which masks are computed); "
-            "choose auto, cpu or cuda"
-        )
-    if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    return "cuda" if name == "gpu" else name  # Lightning's gpu may be an mps
-
-
-def choose_device(device: str) -> torch.device:
-    """The device of a name, as in `device_name`.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such device, or it cannot be used.
-    """
-    device = device_name(device)
-    try:
-        chosen = torch.device(device)
-        torch.empty(0, device=chosen)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).strip().split("\n")[0]
-        raise ConfigError(
-            f"device {device!r} cannot be used ({reason}); choose auto, cpu or cuda"
-        ) from error
-    return chosen

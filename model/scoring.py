@@ -21,6 +21,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from model.aggregation import aerial_descriptors, unit
 from model.errors import ConfigError
+from model.metrics import turn_deg
 from model.pooling import PoolingPlan, plan_pooling, pool_shares
 from slicemask import Bank
 
@@ -102,7 +103,7 @@ class Candidates:
         # The slack takes in candidates that stand on the prior's edge but for rounding.
         if heading_prior_deg is not None:
             centre, half_width = _numbers("heading prior", heading_prior_deg, 2)
-            keep &= _angle(self.poses[:, 2] - centre) <= half_width + 1e-9
+            keep &= np.abs(turn_deg(self.poses[:, 2], centre)) <= half_width + 1e-9
         if place_prior is not None:
             u, v, radius = _numbers("place prior", place_prior, 3)
             keep &= np.hypot(self.poses[:, 0] - u, self.poses[:, 1] - v) <= radius + 1e-9
@@ -220,11 +221,6 @@ def score_masks(ground: Tensor, features: Tensor, attention: Tensor, masks: Tens
 def heat_map(scores: Tensor) -> Tensor:
     """Best score at each place: the maximum over headings, [..., rows, columns]."""
     return scores.amax(dim=-1)
-
-
-def _angle(difference_deg: np.ndarray) -> np.ndarray:
-    """Size of angles in degrees, the short way around: in [0, 180]."""
-    return np.abs((difference_deg + 180.0) % 360.0 - 180.0)
 
 
 def _numbers(name: str, prior: tuple[float, ...], count: int) -> tuple[float, ...]:

@@ -22,6 +22,7 @@ from model import _torchvision  # noqa: F401  before lightning: see there
 from model.calibration import calibrate
 from model.config import TrainConfig
 from model.data import BadSamples, PoseDataset, collate, denormalise
+from model.devices import device_name
 from model.drawing import draw_estimate
 from model.errors import ConfigError, RunError
 from model.localizer import load_candidates
@@ -29,7 +30,7 @@ from model.losses import contrastive_loss
 from model.metrics import pose_errors
 from model.negatives import jittered_candidates, near_poses
 from model.refinement import Domain
-from model.runs import RunFolder, build_model, device_name, load_weights, read_checkpoint
+from model.runs import RunFolder, build_model, load_weights, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks

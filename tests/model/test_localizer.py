@@ -539,7 +539,7 @@ def test_devices_that_cannot_be(slicemask, images, command, device):
     result = slicemask(command, *pair, "--device", device)
     assert result.exit_code == 1
     (line,) = result.stderr.splitlines()
-    assert line.startswith(f"Error: device '{device}' cannot be used (")
+    assert line.startswith(f"Error: device '{device}' cannot be used")
 
 
 @pytest.mark.parametrize("command", ["predict", "evaluate"])

@@ -11,9 +11,10 @@ import torch
 from model.calibration import calibrate
 from model.config import TrainConfig
 from model.data.errors import DatasetError
+from model.devices import choose_device
 from model.errors import ConfigError, RunError
 from model.localizer import Localizer
-from model.runs import RunFolder, choose_device, plan_run
+from model.runs import RunFolder, plan_run
 from model.training import train
 
 
@@ -315,14 +316,14 @@ def test_nothing_is_overwritten_and_nothing_left_behind(config, tmp_path, cache)
 
 def test_machines_that_are_not_there(config, tmp_path, cache):
     for settings, said in (
-        ({"accelerator": "abacus"}, "accelerator 'abacus'"),
-        ({"accelerator": "mps"}, "device 'mps' cannot be used .it has no float64"),
+        ({"accelerator": "abacus"}, "device 'abacus' cannot be used; choose auto, cpu, cuda"),
+        ({"accelerator": "mps"}, "device 'mps' cannot be used; choose auto, cpu, cuda"),
         ({"devices": 99}, "devices is 99; on the CPU each is a process, so it must be at most"),
     ):
         with pytest.raises(ConfigError, match=said):
             train(replace(config, **settings), tmp_path / "r", cache=cache, progress=False)
         assert not (tmp_path / "r").exists()
-    with pytest.raises(ConfigError, match="device 'mps:0' cannot be used"):
+    with pytest.raises(ConfigError, match="device 'mps:0' cannot be used; choose auto, cpu, cuda"):
         choose_device("mps:0")
 
 
