@@ -106,6 +106,11 @@ def generate_vigor(
         )
     jobs = thread_count(jobs)
     root = Path(out)
+    specs = [
+        vigor.VigorSpec(seed, city, panoramas, (columns, rows), tile_size) for city in range(cities)
+    ]
+    # Planned before anything is written: not every plan can be.
+    tasks: list[_Task] = [task for spec in specs for task in vigor.list_tasks(root, spec)]
     _claim(
         root,
         {
@@ -118,12 +123,7 @@ def generate_vigor(
             "tile_size": tile_size,
         },
     )
-    specs = [
-        vigor.VigorSpec(seed, city, panoramas, (columns, rows), tile_size) for city in range(cities)
-    ]
-    tasks: list[_Task] = []
     for spec in specs:
-        tasks += vigor.list_tasks(root, spec)
         vigor.write_labels(root, spec)
     return _run(root, tasks, jobs, progress)
 

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from slicemask.errors import SynthError
 from slicemask.synth.cameras import Panorama
 from slicemask.synth.city import City, lay_out_city
 from slicemask.synth.files import is_there, write_picture, write_text
@@ -48,6 +49,7 @@ MARGIN_M = 45.0  # of city around the outermost tiles
 # a side, and then its tiles get more panoramas each.
 MOST_TILES = 26
 METRES_PER_DEGREE = 111_320.0  # of latitude
+TRIES = 1000  # for each panorama to find a place
 BLOCK = 4  # tiles a side that are rendered at once, because they overlap
 
 
@@ -136,9 +138,15 @@ def _tile_centres(tiles: NDArray[np.intp], tiles_a_side: int, step_m: float) -> 
     return np.stack([(column - middle) * step_m, (middle - row) * step_m], axis=-1)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=len(CITIES))
 def plan_city(spec: VigorSpec) -> VigorPlan:
-    """Lay out a city and choose where its panoramas are taken."""
+    """Lay out a city and choose where its panoramas are taken.
+
+    Raises
+    ------
+    SynthError
+        If its streets have no room for them, as those of a city of a few tiles may.
+    """
     info = CITIES[spec.city]
     step_m = spec.step_m
     # About 1.2 panoramas a tile, as in VIGOR.
@@ -147,6 +155,11 @@ def plan_city(spec: VigorSpec) -> VigorPlan:
     city = lay_out_city((spec.seed, spec.city), half_extent_m)
     rng = spec.random(1)
     places = _choose_places(city, spec.panoramas, side, step_m, rng)
+    if len(places) < spec.panoramas:
+        raise SynthError(
+            f"panoramas is {spec.panoramas} and seed is {spec.seed}; the streets of {info.name} "
+            "then have no room for them: choose more panoramas, for a larger city, or another seed"
+        )
     row = (side - 1) / 2 - places[:, 1] / step_m
     column = places[:, 0] / step_m + (side - 1) / 2
     near = np.clip(np.rint([row, column]), 0, side - 1).astype(np.intp)
@@ -193,7 +206,7 @@ def _on_earth(places: NDArray[np.float64], info: VigorCity) -> list[tuple[float,
 def _choose_places(
     city: City, count: int, side: int, step_m: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Choose places on lanes, evenly along them, float64 [count, 2].
+    """Choose places on lanes, evenly along them, float64 [count, 2] or fewer for want of room.
 
     Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
     the part that is nearest to the tile's centre, as they are in VIGOR; and no tile gets more than
@@ -208,7 +221,7 @@ def _choose_places(
     most = 2 * int(np.ceil(count / side**2)) + 1
     taken = np.zeros((side, side), dtype=int)
     places: list[NDArray[np.float64]] = []
-    while len(places) < count:
+    for _ in range(TRIES * count if len(lanes) and ends[-1] else 0):
         along = rng.uniform(0, ends[-1])
         lane = int(np.searchsorted(ends, along))
         point = shapely.line_interpolate_point(lanes[lane], ends[lane] - along)
@@ -217,6 +230,8 @@ def _choose_places(
         if taken[row, column] < most:
             taken[row, column] += 1
             places.append(np.clip(place, -reach, reach))
+            if len(places) == count:
+                break
     return np.array(places)
 
 

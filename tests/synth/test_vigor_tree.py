@@ -212,3 +212,10 @@ def test_record_says_how_it_was_made(vigor_tree):
     record = json.loads((vigor_tree / "synth.json").read_text())
     assert record["seed"] == 3
     assert record["panorama_size"] == [256, 128]
+
+
+@pytest.mark.parametrize(("panoramas", "seed"), [(1, 9), (4, 18)])
+def test_streets_without_room_are_refused_before_anything_is_written(tmp_path, panoramas, seed):
+    with pytest.raises(SynthError, match=f"panoramas is {panoramas} and seed is {seed}; the str"):
+        generate_vigor(tmp_path / "city", panoramas=panoramas, seed=seed)
+    assert not (tmp_path / "city").exists()
