@@ -18,7 +18,7 @@ from model.localizer import Localizer
 from model.metrics import nearest_candidates
 from model.runs import Checkpoint, RunFolder
 from model.uncertainty import fit_temperature, mean_nll
-from slicemask.files import written_whole
+from slicemask.files import write_text
 
 # Samples that a temperature is fitted to and scores of theirs that are kept (200 MB), at most.
 MOST_SAMPLES = 1000
@@ -114,6 +114,6 @@ def calibrate(
         "grid": str(localizer.grid),
         "checkpoint": checkpoint,
     }
-    with written_whole(folder.calibration_file, RunError) as partial:
-        partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    write_text(folder.calibration_file, text, RunError)
     return content

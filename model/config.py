@@ -14,7 +14,7 @@ from model.data.samples import BadSamples
 from model.errors import ConfigError
 from model.settings import convert, read_settings
 from slicemask import Frustum, PoseGrid
-from slicemask.files import written_whole
+from slicemask.files import write_text
 
 Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
@@ -262,8 +262,7 @@ class TrainConfig:
             for name, value in asdict(self).items()
         }
         text = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None)
-        with written_whole(Path(path), ConfigError) as partial:
-            partial.write_text(text, encoding="utf-8")
+        write_text(Path(path), text, ConfigError)
 
     def grid(self, name: str, grid: str | None = None) -> PoseGrid:
         """The candidate grid ``train_grid`` or ``test_grid`` (or another one) in the extent."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 
+from model.config import check_workers
 from model.data import BadSamples, PoseDataset, collate, denormalise
 from model.drawing import draw_errors, draw_estimate
 from model.errors import ConfigError, RunError
@@ -25,7 +26,7 @@ from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
 from model.refinement import DEFAULT, Refine, near
 from model.runs import Checkpoint
 from model.uncertainty import Calibration, region
-from slicemask.files import written_whole
+from slicemask.files import write_text
 from slicemask.plot import save_figure
 
 Progress = Callable[[int, int], None]
@@ -205,9 +206,10 @@ def evaluate(
     ConfigError, DatasetError
         If the request does not fit the run or its data.
     """
-    for option, value, least in (("limit", limit, 1), ("workers", workers, 0)):
-        if value is not None and value < least:
-            raise ConfigError(f"{option} is {value}; it must be at least {least}")
+    if limit is not None and limit < 1:
+        raise ConfigError(f"limit is {limit}; it must be at least 1")
+    if workers is not None:
+        check_workers(workers)
     localizer = Localizer.load(
         run, bank, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine=refine
     )
@@ -372,8 +374,7 @@ def _write(evaluation: Evaluation, figures: dict[str, Figure], folder: Path) -> 
         ("bad_samples.jsonl", "".join(bad_samples)),
         ("result.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
     ):
-        with written_whole(folder / name, RunError) as partial:
-            partial.write_text(text, encoding="utf-8", newline="")
+        write_text(folder / name, text, RunError)
 
 
 def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) -> dict[str, Figure]:

@@ -14,7 +14,7 @@ from model.errors import ConfigError
 from model.metrics import turn_deg
 from model.uncertainty import CONFIDENCE, ellipse
 from slicemask.errors import OutputError
-from slicemask.files import check_target, written_whole
+from slicemask.files import check_target, write_text
 
 if TYPE_CHECKING:
     from model.localizer import Estimate
@@ -131,10 +131,8 @@ def save_geojson(collection: dict[str, Any], path: str | Path) -> None:
         If the suffix is neither ``.geojson`` nor ``.json``, or the file cannot be written;
         nothing is left behind.
     """
-    with written_whole(check_geojson_target(path), OutputError) as partial:
-        partial.write_text(
-            json.dumps(collection, indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+    text = json.dumps(collection, indent=1, allow_nan=False) + "\n"
+    write_text(check_geojson_target(path), text, OutputError)
 
 
 def check_geojson_target(path: str | Path) -> Path:

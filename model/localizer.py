@@ -323,13 +323,12 @@ class Localizer:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
         folder = RunFolder(Path(run))
         config, model = folder.load_model(checkpoint)
-        fitted = folder.load_calibration()
+        fitted = folder.load_calibration(config)
         chosen = choose_device(device)
         if bank is None:
             poses = config.grid("test_grid", grid)
             bank = build_bank(poses, config.frustum(), model.cells, cache=cache).path
         candidates, poses = load_candidates(bank, config.frustum(), model.cells)
-        priors = config.heading_prior(), config.place_prior
         return cls(
             model.to(chosen),
             candidates.to(chosen),
@@ -338,7 +337,7 @@ class Localizer:
             chosen,
             refine,
             None if fitted is None else fitted.temperature,
-            calibrated=fitted is not None and fitted.matches(poses, checkpoint, *priors),
+            calibrated=fitted is not None and fitted.matches(poses, checkpoint),
         )
 
     def encode_aerial(self, aerial: Picture) -> AerialTile:

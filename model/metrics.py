@@ -140,6 +140,12 @@ def turn_deg(headings: Angles, origin: Angles | float) -> Angles:
     return (headings - origin + 180.0) % 360.0 - 180.0
 
 
+def in_place_prior(u: ArrayLike, v: ArrayLike, prior: tuple[float, float, float]) -> np.ndarray:
+    """Whether places lie within the radius of a prior (u, v, radius), its edge but for rounding."""
+    centre_u, centre_v, radius = prior
+    return np.hypot(np.asarray(u) - centre_u, np.asarray(v) - centre_v) <= radius + 1e-9
+
+
 def recall(errors: ArrayLike, threshold: float) -> float:
     """Share of errors strictly below a threshold, in [0, 1].
 

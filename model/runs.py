@@ -33,7 +33,7 @@ Checkpoint = Literal["best", "last"]
 
 @dataclass(frozen=True)
 class FittedTemperature:
-    """A temperature, and what gave the scores that it was fitted to.
+    """A temperature, and what gave the scores that it was fitted to, under the run's own priors.
 
     Parameters
     ----------
@@ -43,28 +43,15 @@ class FittedTemperature:
         Of the candidates.
     checkpoint : {"best", "last"}
         Of the weights.
-    heading_prior_deg : (centre, half_width) or None
-        The run's own.
-    place_prior : (u, v, radius) or None
-        The run's own.
     """
 
     temperature: float
     grid: PoseGrid
     checkpoint: Checkpoint
-    heading_prior_deg: tuple[float, float] | None
-    place_prior: tuple[float, float, float] | None
 
-    def matches(
-        self,
-        grid: PoseGrid,
-        checkpoint: Checkpoint,
-        heading_prior_deg: tuple[float, float] | None,
-        place_prior: tuple[float, float, float] | None,
-    ) -> bool:
+    def matches(self, grid: PoseGrid, checkpoint: Checkpoint) -> bool:
         """Whether scores of these candidates and weights are those that it was fitted to."""
-        asked = (grid, checkpoint, heading_prior_deg, place_prior)
-        return asked == (self.grid, self.checkpoint, self.heading_prior_deg, self.place_prior)
+        return (grid, checkpoint) == (self.grid, self.checkpoint)
 
 
 @dataclass(frozen=True)
@@ -120,15 +107,14 @@ class RunFolder:
             )
         return TrainConfig.load(self.config_file)
 
-    def load_calibration(self) -> FittedTemperature | None:
-        """The temperature that was fitted to the run's scores; None if none was.
+    def load_calibration(self, config: TrainConfig) -> FittedTemperature | None:
+        """The temperature that was fitted to the scores of the run, of these settings, if any was.
 
         Raises
         ------
         RunError
-            If the file that should hold it does not, or the folder is no run.
+            If the file that should hold it does not.
         """
-        config = self.load_config()
         try:
             content = json.loads(self.calibration_file.read_text("utf-8"))
             temperature, checkpoint = content["temperature"], content["checkpoint"]
@@ -144,10 +130,7 @@ class RunFolder:
                 f"{self.calibration_file}: holds no temperature greater than 0 with its grid and "
                 f"checkpoint ({error!r}); remove it, or write it anew with `slicemask calibrate`"
             ) from error
-        # `calibrate` takes the run's own priors.
-        return FittedTemperature(
-            temperature, grid, checkpoint, config.heading_prior(), config.place_prior
-        )
+        return FittedTemperature(temperature, grid, checkpoint)
 
     def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
         """The run's settings and its model with trained weights, on the CPU, set to evaluate.

@@ -21,7 +21,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from model.aggregation import aerial_descriptors, unit
 from model.errors import ConfigError
-from model.metrics import turn_deg
+from model.metrics import in_place_prior, turn_deg
 from model.pooling import PoolingPlan, plan_pooling, pool_shares
 from slicemask import Bank
 
@@ -105,8 +105,8 @@ class Candidates:
             centre, half_width = _numbers("heading prior", heading_prior_deg, 2)
             keep &= np.abs(turn_deg(self.poses[:, 2], centre)) <= half_width + 1e-9
         if place_prior is not None:
-            u, v, radius = _numbers("place prior", place_prior, 3)
-            keep &= np.hypot(self.poses[:, 0] - u, self.poses[:, 1] - v) <= radius + 1e-9
+            prior = _numbers("place prior", place_prior, 3)
+            keep &= in_place_prior(self.poses[:, 0], self.poses[:, 1], prior)
         if not keep.any():
             raise ConfigError(
                 f"no candidate pose agrees with heading prior {heading_prior_deg} (centre, half "

@@ -34,7 +34,7 @@ from model.runs import RunFolder, build_model, load_weights, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks
-from slicemask.files import written_whole
+from slicemask.files import write_text
 from slicemask.plot import save_figure
 from slicemask.threads import thread_count
 
@@ -465,8 +465,7 @@ class _Metrics(lightning.Callback):
         if trainer.is_global_zero and self.path.exists():
             lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
             kept = "".join(lines[: trainer.current_epoch])
-            with written_whole(self.path, RunError) as partial:
-                partial.write_text(kept, encoding="utf-8")
+            write_text(self.path, kept, RunError)
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, _: lightning.LightningModule) -> None:
         if not trainer.is_global_zero:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from slicemask.errors import SlicemaskError
 
+_REMEDY = "choose another place, or free some space"
+
 
 def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[SlicemaskError]) -> Path:
     """Return the path of a file to be written, or raise ``error`` if it cannot be one.
@@ -43,7 +45,7 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
 def written_whole(
     path: Path,
     error: type[SlicemaskError],
-    remedy: str = "choose another place, or free some space",
+    remedy: str = _REMEDY,
 ) -> Iterator[Path]:
     """A name beside ``path`` to write to, which becomes it at the end, or is removed on an error.
 
@@ -61,3 +63,9 @@ def written_whole(
             partial.unlink(missing_ok=True)
     except OSError as reason:
         raise error(f"{path}: cannot be written: {reason.strerror or reason}; {remedy}") from reason
+
+
+def write_text(path: Path, text: str, error: type[SlicemaskError], remedy: str = _REMEDY) -> None:
+    """Write a text, UTF-8 and its line ends as they are, as `written_whole` does."""
+    with written_whole(path, error, remedy) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")

@@ -18,6 +18,9 @@ from typing import TypeVar
 # How long a signal waits before it looks again whether an import is done.
 _AGAIN_S = 0.05
 
+# Called wherever work may be stopped; raises `Stopped` there once it is to stop.
+Check = Callable[[], None]
+
 _Result = TypeVar("_Result")
 
 
@@ -25,7 +28,7 @@ class Stopped(Exception):  # noqa: N818 - no error
     """The work was asked to stop."""
 
 
-def shielded(work: Callable[[Callable[[], None]], _Result]) -> _Result:
+def shielded(work: Callable[[Check], _Result]) -> _Result:
     """Give what the work gives, done on a thread of its own.
 
     An exception that strikes this thread meanwhile, as Ctrl-C or a signal's handler does, is raised
@@ -34,8 +37,7 @@ def shielded(work: Callable[[Callable[[], None]], _Result]) -> _Result:
     Parameters
     ----------
     work : callable
-        Called with a function that it calls wherever it may be stopped, which raises `Stopped`
-        there once it is to stop.
+        Called with a `Check`.
     """
     results: list[_Result] = []
     errors: list[BaseException] = []

@@ -13,6 +13,7 @@ from torch.utils.data import Dataset, default_collate
 
 from model.data.augmentation import recolour
 from model.data.errors import DatasetError, SampleError
+from model.metrics import in_place_prior
 from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 
 PARTS = ("train", "validation", "test")
@@ -287,8 +288,7 @@ class PoseDataset(Dataset):
         u, v, _ = self.poses()[slice(None) if indices is None else indices].T
         outside = (u < u0) | (u > u1) | (v < v0) | (v > v1)
         if place_prior is not None:
-            centre_u, centre_v, radius = place_prior
-            outside |= np.hypot(u - centre_u, v - centre_v) > radius + 1e-9
+            outside |= ~in_place_prior(u, v, place_prior)
         return int(np.count_nonzero(outside))
 
     def __len__(self) -> int:

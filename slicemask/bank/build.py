@@ -33,7 +33,7 @@ from slicemask.geometry.distinct import (
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine
 from slicemask.geometry.poses import PoseGrid, check_poses
-from slicemask.shield import shielded
+from slicemask.shield import Check, shielded
 from slicemask.threads import thread_count
 
 # Slices that a batch may have, and values of their masks: what bounds memory.
@@ -43,7 +43,6 @@ _BATCH_SLICES = 1 << 16
 _ZEROS = 1 << 20
 
 Progress = Callable[[int, int], None]
-Check = Callable[[], None]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slicemask.bank.read import Bank
 from slicemask.errors import SpecError
 from slicemask.geometry.masks import Engine, slice_masks
-from slicemask.shield import shielded
+from slicemask.shield import Check, shielded
 from slicemask.threads import thread_count
 
 # Half a unit in the last place of a float32 below 1, and what two engines may differ by.
@@ -107,7 +107,7 @@ def verify_bank(
     step = max(1, _BATCH_VALUES // (slices * cells**2))
     parts = [chosen[start : start + step] for start in range(0, count, step)]
 
-    def compare(check: Callable[[], None]) -> Verification:
+    def compare(check: Check) -> Verification:
         largest, wrong, first, done = 0.0, 0, None, 0
         pool = ThreadPoolExecutor(min(thread_count(jobs), len(parts)))
         try:

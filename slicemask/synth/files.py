@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from slicemask import files
 from slicemask.errors import SynthError
-from slicemask.files import written_whole
 
 # What a file of each format ends with. Pillow can do without it.
 ENDS = {".jpg": b"\xff\xd9", ".png": b"IEND\xaeB`\x82"}
@@ -32,7 +32,7 @@ def is_there(path: Path, size: tuple[int, int]) -> bool:
 def write_picture(path: Path, pixels: NDArray[np.uint8]) -> None:
     """Write uint8 [H, W, 3] as a JPEG or PNG, by the suffix."""
     _make_folder(path)
-    with written_whole(path, SynthError, _REMEDY) as partial:
+    with files.written_whole(path, SynthError, _REMEDY) as partial:
         image = Image.fromarray(pixels)
         if path.suffix == ".jpg":
             image.save(partial, "JPEG", quality=92)
@@ -43,8 +43,7 @@ def write_picture(path: Path, pixels: NDArray[np.uint8]) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a text file."""
     _make_folder(path)
-    with written_whole(path, SynthError, _REMEDY) as partial:
-        partial.write_text(text, encoding="utf-8", newline="\n")
+    files.write_text(path, text, SynthError, _REMEDY)
 
 
 def _make_folder(path: Path) -> None:

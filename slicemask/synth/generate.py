@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from slicemask.errors import SynthError
-from slicemask.shield import shielded
+from slicemask.shield import Check, shielded
 from slicemask.synth import kitti, vigor
 from slicemask.synth.files import write_text
 from slicemask.threads import thread_count
@@ -238,7 +238,7 @@ def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | Non
         if progress is not None:
             progress(done, total)
 
-    def render(check: Callable[[], None]) -> None:
+    def render(check: Check) -> None:
         if progress is not None:
             progress(0, total)
         if jobs == 1:
