@@ -1,15 +1,20 @@
-"""The plain reference that all masks are held against: every cell of every slice, one at a time.
+"""What all tests share: Ctrl-C, and the plain reference.
 
+The reference is what all masks are held against: every cell of every slice, one at a time.
 It shares nothing with the package but the meaning of its arguments: angles through `math`, slices
 as triangles from the camera, and Shapely's ``polygon.intersection(cell).area``.
 """
 
 import itertools
 import math
+import signal
 
 import numpy as np
 import pytest
 from shapely.geometry import Polygon, box
+
+# Jobs that a shell runs in the background ignore Ctrl-C, and so do their children; tests send it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
