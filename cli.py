@@ -25,6 +25,9 @@ from slicemask.bank.seal import VERSION
 from slicemask.bank.write import FORMAT
 from slicemask.shield import exit_on_signals
 
+# How long a thread may keep the interpreter from another one that wants it.
+_TURN_S = 0.0002
+
 
 class _Group(click.Group):
     """Commands whose expected errors are one sentence and exit code 1."""
@@ -35,6 +38,9 @@ class _Group(click.Group):
         # What was imported is no garbage; to look for some in it, again at the end above all,
         # takes as long as a tenth of a build.
         gc.freeze()
+        # Threads of a build want the interpreter for an instant, between long calls that do
+        # without it; by default each may have to wait 5 ms for it.
+        sys.setswitchinterval(_TURN_S)
         try:
             return super().invoke(ctx)
         except SlicemaskError as error:

@@ -3,7 +3,6 @@
 import contextlib
 import functools
 import os
-import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -31,7 +30,7 @@ from slicemask.geometry.distinct import (
     distinct_slices,
 )
 from slicemask.geometry.frustum import Frustum
-from slicemask.geometry.masks import Engine
+from slicemask.geometry.masks import Engine, engine_fractions
 from slicemask.geometry.poses import PoseGrid, check_poses
 from slicemask.shield import Check, shielded
 from slicemask.threads import thread_count
@@ -39,6 +38,8 @@ from slicemask.threads import thread_count
 # Slices that a batch may have, and values of their masks: what bounds memory.
 _BATCH_VALUES = 1 << 26
 _BATCH_SLICES = 1 << 16
+# Bytes of an index that is held in memory, at most.
+_HELD_INDEX = 1 << 24
 # Bytes of a new file that are written at once.
 _ZEROS = 1 << 20
 
@@ -207,34 +208,45 @@ def _build(
     """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
     pool = ThreadPoolExecutor(jobs)
-    with (
-        BankWriter(path, spec, pool) as writer,
-        # The index is filled in batch by batch, out of order. A nameless file holds it: it is
-        # gone with the process, and the system can page it out.
-        tempfile.TemporaryFile(dir=path.parent) as scratch,
-        contextlib.ExitStack() as after,
-    ):
+    with BankWriter(path, spec, pool) as writer, contextlib.ExitStack() as after:
         # After an error, what no thread has begun is dropped.
         after.callback(pool.shutdown, cancel_futures=True)
-        # Written, not truncated, to its size: a full disk is an error here, and would be a crash
-        # at some later store into a mapped hole.
-        size = total * slices * 4
-        for start in range(0, size, _ZEROS):
-            scratch.write(bytes(min(_ZEROS, size - start)))
-        scratch.flush()
-        index = np.memmap(scratch, dtype=np.int32, mode="r+", shape=(total, slices))
+        pool.submit(engine_fractions, spec.engine)  # its import, while the first slices are found
+        index = after.enter_context(_empty_index((total, slices), path.parent))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
         pieces = _pieces(source, spec, index)
         if progress:
             progress(0, total)
         # Enough waits for every thread to find work while the oldest results are written.
-        for share, rows in in_order(compute, pieces, pool, 2 * jobs + 8):
+        for share, parts in in_order(compute, pieces, pool, 2 * jobs + 8):
             check()
-            writer.add_rows(rows.counts, rows.indices, rows.data)
+            for rows in parts:
+                writer.add_rows(rows.counts, rows.indices, rows.data)
             if progress:
                 progress(round(share * total), total)
         writer.finish(index, source.pieces())
     return writer.rows
+
+
+@contextlib.contextmanager
+def _empty_index(shape: tuple[int, int], folder: Path) -> Iterator[NDArray[np.int32]]:
+    """An index to be filled in batch by batch, out of order: in a file if it is large.
+
+    The file has no name: it is gone with the process, and the system can page it out.
+    """
+    size = 4 * shape[0] * shape[1]
+    if size <= _HELD_INDEX:
+        yield np.zeros(shape, dtype=np.int32)
+        return
+    import tempfile  # takes long to load
+
+    with tempfile.TemporaryFile(dir=folder) as scratch:
+        # Written, not truncated, to its size: a full disk is an error here, and would be a crash
+        # at some later store into a mapped hole.
+        for start in range(0, size, _ZEROS):
+            scratch.write(bytes(min(_ZEROS, size - start)))
+        scratch.flush()
+        yield np.memmap(scratch, dtype=np.int32, mode="r+", shape=shape)
 
 
 def _pieces(

@@ -38,8 +38,9 @@ def fletcher32(data: bytes) -> int:
     Words are big-endian, the last one padded with zeros. Sums are modulo 65535, with 65535 in
     the place of 0 unless all words are 0.
     """
-    words = np.frombuffer(data + bytes(len(data) % 2), dtype=">u2").astype(np.int64)
-    # The second sum adds up the first one after each word, and so counts the first word most.
-    sums = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
-    first, second = ((total - 1) % 65535 + 1 if total else 0 for total in sums)
+    words = np.frombuffer(data + bytes(len(data) % 2), dtype="<u2").astype(np.int64)
+    # The second sum adds up the first one after each word. Modulo 65535, the product with 256 puts
+    # a word's two bytes the other way round; the sums are fewer than the words.
+    totals = 256 * int(words.sum()), 256 * int(words.cumsum().sum())
+    first, second = ((total - 1) % 65535 + 1 if total else 0 for total in totals)
     return second << 16 | first

@@ -55,33 +55,30 @@ def cut(images: Images, cells: int) -> Iterator[Images]:
         )
 
 
-def mask_rows(images: Images, cells: int, engine: Engine) -> Rows:
-    """Compute the sectors' masks, and give the rows of their images in order."""
+def mask_rows(images: Images, cells: int, engine: Engine) -> list[Rows]:
+    """Compute the sectors' masks, and give the rows of their images in order, in parts."""
     sectors = _sector_masks(images, cells, engine)
     # A few images at a time stay in the processor's cache.
     step = max(1, _PIECE_VALUES // cells**2)
-    parts = [
+    return [
         _image_rows(sectors, images.sector[start : start + step],
                     images.symmetry[start : start + step])
         for start in range(0, len(images.sector), step)
     ]  # fmt: skip
-    return Rows(
-        np.concatenate([part.counts for part in parts]),
-        np.concatenate([part.indices for part in parts]),
-        np.concatenate([part.data for part in parts]),
-    )
 
 
 def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.float32]:
     """Masks of the sectors, float32 [R, L, L], with the noise of rounding next to 0."""
-    masks = np.zeros((len(images.u), cells, cells), dtype=np.float32)
     width_deg = images.right_deg - images.left_deg
-    masks[width_deg == 360.0] = 1.0
-    some = np.flatnonzero((width_deg > 0.0) & (width_deg < 360.0))
+    some = (width_deg > 0.0) & (width_deg < 360.0)
     fractions = engine_fractions(engine)(
         images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
-    )
-    masks[some] = fractions  # next to 1, float32 knows no noise
+    ).astype(np.float32)  # next to 1, float32 knows no noise
+    if some.all():
+        return fractions
+    masks = np.zeros((len(some), cells, cells), dtype=np.float32)
+    masks[width_deg == 360.0] = 1.0
+    masks[some] = fractions
     return masks
 
 

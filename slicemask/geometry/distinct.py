@@ -266,11 +266,11 @@ def _images(
         best_place = np.where(smaller, image_place, best_place)
         best_edges = np.where(smaller, image_edges, best_edges)
         best[smaller] = number
-    _, first, sector = np.unique(
-        _numbered(np.stack([np.broadcast_to(place, len(u)), best_place, best_edges])),
-        return_index=True,
-        return_inverse=True,
-    )
+    keys = np.broadcast_to(place, len(u)), best_place, best_edges
+    order = np.lexsort(keys[::-1])
+    fresh = np.ones(len(order), dtype=bool)
+    fresh[1:] = np.logical_or.reduce([np.diff(key[order]) != 0 for key in keys])
+    first = order[fresh]
     chosen = [np.empty(len(first)) for _ in sectors]
     for number, symmetry in enumerate(SYMMETRIES):
         some = best[first] == number
@@ -281,11 +281,10 @@ def _images(
         for target, image in zip(chosen, images, strict=True):
             target[some] = image
     inverse = np.array([SYMMETRIES.index(symmetry.inverse) for symmetry in SYMMETRIES])
-    order = np.argsort(sector, kind="stable")
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
     u, v, left_deg, right_deg = chosen
-    return Images(u, v, left_deg, right_deg, sector[order], inverse[best][order]), rank
+    return Images(u, v, left_deg, right_deg, np.cumsum(fresh) - 1, inverse[best][order]), rank
 
 
 def _unique(keys: Codes, size: int) -> tuple[Codes, Codes]:
@@ -298,11 +297,3 @@ def _unique(keys: Codes, size: int) -> tuple[Codes, Codes]:
     present[keys] = True
     return np.flatnonzero(present), (np.cumsum(present) - 1)[keys]
 
-
-def _numbered(columns: Codes) -> Codes:
-    """Number the columns [C, S] so that equal ones share a number and order is kept: int64 [S]."""
-    number: Codes = np.zeros(columns.shape[1], dtype=np.int64)
-    for column in columns:
-        values, rank = np.unique(column, return_inverse=True)
-        _, number = np.unique(number * len(values) + rank, return_inverse=True)
-    return number
