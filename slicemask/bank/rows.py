@@ -71,7 +71,7 @@ def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.floa
     """Masks of the sectors, float32 [R, L, L], with the noise of rounding next to 0."""
     width_deg = images.right_deg - images.left_deg
     some = (width_deg > 0.0) & (width_deg < 360.0)
-    fractions = engine_fractions(engine)(
+    fractions: NDArray[np.float32] = engine_fractions(engine)(
         images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
     ).astype(np.float32)  # next to 1, float32 knows no noise
     if some.all():

@@ -4,8 +4,8 @@ import io
 import os
 from collections import deque
 from collections.abc import Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -81,7 +81,7 @@ class BankWriter:
     spec : BankSpec
         What it holds; ``versions`` included.
     pool : ThreadPoolExecutor
-        The threads that deflate its chunks.
+        The threads that begin the file and deflate its chunks.
     """
 
     def __init__(self, target: Path, spec: BankSpec, pool: ThreadPoolExecutor):
@@ -97,11 +97,8 @@ class BankWriter:
         self._waiting: deque[tuple[h5py.Dataset, int, int, Future[bytes]]] = deque()
 
     def __enter__(self) -> "BankWriter":
-        try:
-            self._begin()
-        except BaseException:
-            self._discard()
-            raise
+        # Beside the caller's work: the first rows take a while to come.
+        self._begun = self._pool.submit(self._begin)
         return self
 
     def _begin(self) -> None:
@@ -160,6 +157,7 @@ class BankWriter:
         self, counts: NDArray[np.int64], indices: NDArray[np.int32], data: NDArray[np.float32]
     ) -> None:
         """Add CSR rows: nonzeros of each, cells, fractions."""
+        self._begun.result()
         self._append(self._indices, indices)
         self._append(self._data, data)
         self._append(self._indptr, self.nonzeros + np.cumsum(counts))
@@ -169,6 +167,7 @@ class BankWriter:
 
     def finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
         """Add the index [K, N], copied piece by piece, and the poses, in pieces [k, 3]."""
+        self._begun.result()
         index_column = self._column("index", np.int32, index.shape[1])
         self._append(index_column, index)
         poses_column = self._column("poses", np.float64, 3)
@@ -198,7 +197,11 @@ class BankWriter:
         try:
             self._open.close()
             self._raise_failure()
-            write_seal(self.partial)
+            # The disk has its work while the bytes are summed up.
+            with ThreadPoolExecutor(1) as beside:
+                synced = beside.submit(_sync, self.partial)
+                write_seal(self.partial)
+            synced.result()
             _sync(self.partial)
             os.replace(self.partial, self.target)
         except BaseException:
@@ -208,6 +211,8 @@ class BankWriter:
 
     def _discard(self) -> None:
         """Let go of the file, and remove it."""
+        with suppress(CancelledError):
+            self._begun.exception()
         if self._sink is not None:
             self._sink.abandoned = True
         try:

@@ -268,7 +268,7 @@ def _images(
         best[smaller] = number
     keys = np.broadcast_to(place, len(u)), best_place, best_edges
     order = np.lexsort(keys[::-1])
-    fresh = np.ones(len(order), dtype=bool)
+    fresh = np.ones(len(order), dtype=bool)  # where slices of another sector begin
     fresh[1:] = np.logical_or.reduce([np.diff(key[order]) != 0 for key in keys])
     first = order[fresh]
     chosen = [np.empty(len(first)) for _ in sectors]
@@ -296,4 +296,3 @@ def _unique(keys: Codes, size: int) -> tuple[Codes, Codes]:
     present = np.zeros(size, dtype=bool)
     present[keys] = True
     return np.flatnonzero(present), (np.cumsum(present) - 1)[keys]
-
