@@ -18,12 +18,18 @@ import click
 # Builds have threads of their own and multiply no matrices. OpenBLAS's, which NumPy starts, would
 # only spin beside them.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# What is imported is no garbage. To look for some in it, now and at the end, takes as long as a
+# tenth of a build.
+gc.disable()
 
 import slicemask
 from slicemask import Frustum, PoseGrid, SlicemaskError
 from slicemask.bank.seal import VERSION
 from slicemask.bank.write import FORMAT
 from slicemask.shield import exit_on_signals
+
+gc.freeze()
+gc.enable()
 
 # How long a thread may keep the interpreter from another one that wants it.
 _TURN_S = 0.0002
@@ -35,9 +41,6 @@ class _Group(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
         exit_on_signals()
-        # What was imported is no garbage; to look for some in it, again at the end above all,
-        # takes as long as a tenth of a build.
-        gc.freeze()
         # Threads of a build want the interpreter for an instant, between long calls that do
         # without it; by default each may have to wait 5 ms for it.
         sys.setswitchinterval(_TURN_S)
