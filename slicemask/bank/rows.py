@@ -86,15 +86,17 @@ def _image_rows(
     sectors: NDArray[np.float32], sector: NDArray[np.int64], symmetry: NDArray[np.int64]
 ) -> Rows:
     """Rows of images of sectors' masks [R, L, L]."""
-    values = sectors[0].size
-    dense = np.empty((len(sector), *sectors.shape[1:]), dtype=np.float32)
-    for number, image in enumerate(SYMMETRIES):
-        some = np.flatnonzero(symmetry == number)
-        moved = image.masks(sectors[sector[some]])
-        dense[some] = np.ascontiguousarray(moved)  # twice as fast as from a strided view
-    flat = dense.reshape(-1)
+    # Sorted by symmetry, each is one copy.
+    order = np.argsort(symmetry, kind="stable")
+    ends = np.searchsorted(symmetry[order], np.arange(len(SYMMETRIES) + 1))
+    masks = sectors[sector[order]]
+    moved = np.empty_like(masks)
+    for image, start, end in zip(SYMMETRIES, ends, ends[1:], strict=False):
+        moved[start:end] = image.masks(masks[start:end])
+    masks[order] = moved
+    flat = masks.reshape(-1)
     at = np.flatnonzero(flat >= NEGLIGIBLE)
-    starts = np.arange(len(sector) + 1) * values
+    starts = np.arange(len(masks) + 1) * masks[0].size
     counts = np.diff(np.searchsorted(at, starts))
     cell = at - np.repeat(starts[:-1], counts)
     return Rows(counts, cell.astype(np.int32), flat[at])
