@@ -16,6 +16,7 @@ cancel it loses twice the digits.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
@@ -39,22 +40,23 @@ class PoolingPlan:
     ----------
     gathered : list of (int32 [R, m], float32 [R, m])
         Cells and fractions of the masks pooled for all slice numbers at once.
-    single : list of int64 [R_n]
-        For each slice number, the masks pooled for it alone.
+    single : list of (int64 [R_n], NumPy int [R_n + 1])
+        For each slice number, the masks pooled for it alone, and how many nonzeros come before
+        each of them, and in all. For the latter a GPU would have to be waited for at each block.
     slot : int [K, N]
         Which share is that of slice n of pose k. Shares stand in order: those of the gathered
         masks, N each, then those of single masks by slice number.
     """
 
     gathered: list[tuple[Tensor, Tensor]]
-    single: list[Tensor]
+    single: list[tuple[Tensor, np.ndarray]]
     slot: Tensor
 
     @property
     def shares(self) -> int:
         """How many shares there are."""
         gathered = sum(len(cells) for cells, _ in self.gathered)
-        return gathered * self.slot.shape[1] + sum(map(len, self.single))
+        return gathered * self.slot.shape[1] + sum(len(rows) for rows, _ in self.single)
 
     @property
     def vectors(self) -> int:
@@ -93,12 +95,13 @@ def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
         at = torch.where(inside, starts[rows, None] + steps, 0)
         gathered.append((cells[at] * inside, fractions[at] * inside))
 
-    single = [torch.nonzero(used[n] & ~many)[:, 0] for n in range(slices)]
-    total = len(numbers) * slices + sum(map(len, single))
+    alone = [torch.nonzero(used[n] & ~many)[:, 0] for n in range(slices)]
+    single = [(rows, _sums(lengths[rows]).numpy(force=True)) for rows in alone]
+    total = len(numbers) * slices + sum(map(len, alone))
     slot = torch.empty_like(index, dtype=torch.int32 if total < 2**31 else torch.int64)
     place = torch.empty_like(lengths, dtype=slot.dtype)
     first = len(numbers) * slices
-    for n, rows in enumerate(single):
+    for n, rows in enumerate(alone):
         place[numbers] = torch.arange(
             n, len(numbers) * slices + n, slices, dtype=slot.dtype, device=slot.device
         )
@@ -168,24 +171,32 @@ def _pool_blocks(
     for whole in plan.gathered:
         for cells, fractions in _cut(whole, vectors, dots.shape[1]):
             yield call(_pool_gathered, cells, fractions, features, attention, dots)
-    for n, numbers in enumerate(plan.single):
+    step = max(1, vectors)
+    for n, (numbers, sums) in enumerate(plan.single):
         if not len(numbers):
             continue
         attended = features * attention[:, n, None]  # z'_a^n
         dots_n = dots[:, n, None].contiguous()
-        for some in numbers.split(max(1, vectors)):
-            rows = _take_rows(masks, some)
+        for first in range(0, len(numbers), step):
+            last = min(first + step, len(numbers))
+            rows = _take_rows(masks, numbers[first:last], int(sums[last] - sums[first]))
             yield call(_pool_single, *rows, attended, dots_n)
 
 
-def _take_rows(masks: Masks, chosen: Tensor) -> Masks:
-    """The chosen rows [R] of a CSR matrix."""
+def _take_rows(masks: Masks, chosen: Tensor, nonzeros: int) -> Masks:
+    """The chosen rows [R] of a CSR matrix, which have so many nonzeros."""
     starts, cells, fractions = masks
     lengths = starts[chosen + 1] - starts[chosen]
-    new_starts = F.pad(torch.cumsum(lengths, 0, dtype=starts.dtype), (1, 0))
-    shift = torch.repeat_interleave(starts[chosen] - new_starts[:-1], lengths)
+    new_starts = _sums(lengths)
+    shift = starts[chosen] - new_starts[:-1]
+    shift = torch.repeat_interleave(shift, lengths, output_size=nonzeros)
     taken = torch.arange(len(shift), dtype=starts.dtype, device=shift.device) + shift
     return new_starts, cells[taken], fractions[taken]
+
+
+def _sums(lengths: Tensor) -> Tensor:
+    """Sum of the lengths [R] before each, and of all: [R + 1]."""
+    return F.pad(torch.cumsum(lengths, 0, dtype=lengths.dtype), (1, 0))
 
 
 def _cut(

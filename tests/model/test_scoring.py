@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 
 from model.aggregation import unit
 from model.errors import ConfigError
@@ -173,16 +175,42 @@ def test_masks_are_pooled_the_way_that_suits_their_use(tmp_path):
     candidates = build(tmp_path, PoseGrid.parse("3x4x32"), Frustum(360, 16))
     inputs = features(16)
     whole = score_candidates(*inputs, candidates)
-    assert sum(map(len, candidates.pooling.single)) == 0
+    assert not any(len(rows) for rows, _ in candidates.pooling.single)
     # Few headings use a mask as few slice numbers; with more of them, some masks are shared.
     for half_width, ways in ((20.0, "single"), (105.0, "both")):
         some = candidates.within(heading_prior_deg=(0.0, half_width))
         plan = some.pooling
         assert bool(plan.gathered) == (ways == "both")
-        assert sum(map(len, plan.single)) > 0
+        assert any(len(rows) for rows, _ in plan.single)
         found = score_candidates(*inputs, some)
         torch.testing.assert_close(found, whole[:, some.kept], rtol=1e-5, atol=1e-6)
         torch.testing.assert_close(score_candidates(*inputs, some.to("cpu")), found)
+
+
+def test_scoring_asks_for_no_value_that_a_gpu_would_have_to_be_waited_for(bank, kept):
+    """Fake tensors know their shapes, and refuse to say their values."""
+    candidates = Candidates.from_bank(bank)
+    plan = candidates.pooling
+    with FakeTensorMode() as mode:
+        fake = mode.from_tensor
+        unknown = replace(
+            candidates,
+            index=fake(candidates.index),
+            masks=tuple(map(fake, candidates.masks)),
+            kept=fake(candidates.kept),
+        )
+        unknown.__dict__["pooling"] = replace(
+            plan,
+            gathered=[(fake(cells), fake(fractions)) for cells, fractions in plan.gathered],
+            single=[(fake(rows), sums) for rows, sums in plan.single],
+            slot=fake(plan.slot),
+        )
+        inputs = [fake(x).requires_grad_() for x in features(bank.spec.frustum.slices)]
+        scores = score_candidates(*inputs, unknown, values_at_once=70)
+        torch.autograd.grad(unknown.on_grid(scores).amax(), inputs)
+        with pytest.raises(DataDependentOutputException):
+            scores.amax().item()
+    assert scores.shape == (BATCH, len(bank))
 
 
 @pytest.mark.parametrize("frustum", [Frustum(360, 16), Frustum(80, 16, "pinhole")])
