@@ -25,6 +25,9 @@ def main(tables: tuple[str, ...]) -> None:
     for name in tables or TABLES:
         title = (TABLES[name].__doc__ or name).splitlines()[0].rstrip(".")
         figures = TABLES[name]()
+        if not figures:
+            console.print(f"{name}: this machine has nothing to measure it on")
+            continue
         table = Table("what", "measured", "target", "met", title=f"{title} ({machine})")
         for figure in figures:
             met = "" if figure.met is None else "yes" if figure.met else "NO"

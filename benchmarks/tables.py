@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from benchmarks.figure import Figure
+from benchmarks.gpu import gpu
 from benchmarks.peers import exactextract_masks, plain_loop_seconds, random_slices
 from benchmarks.scoring import scoring
 from benchmarks.timing import (
@@ -197,4 +198,5 @@ TABLES: dict[str, Callable[[], list[Figure]]] = {
     "million": million,
     "growth": growth,
     "scoring": scoring,
+    "gpu": gpu,
 }
