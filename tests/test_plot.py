@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.ImageColor import getrgb
 
 from slicemask import Frustum, SlicemaskError, slice_masks
 from slicemask.errors import PlotError, PoseError, SpecError
@@ -20,6 +21,7 @@ from slicemask.plot import (
     save_figure,
     slice_colours,
 )
+from slicemask.plot.figure import PAPER
 
 QUARTERS = Frustum(hfov_deg=360.0, slices=4)
 # North-west, north-east, south-east and south-west quadrants are slices 1, 2, 3 and 0.
@@ -245,6 +247,9 @@ def test_an_animation_turns_the_camera(tmp_path):
     for frame in frames[1:]:  # the axes below stand still, and the ground stays white
         np.testing.assert_array_equal(frame[-45:], frames[0][-45:])
     assert (frames[0][0, 0] == 255).all()
+    # Three quarters of the tile are empty, in the colour that stills have for it; lines cross them.
+    empty = (frames[0] == getrgb(PAPER)).all(axis=2)
+    assert 0.5 * 370**2 < empty.sum() < 0.75 * 370**2
 
 
 def test_frames_show_their_own_headings(tmp_path):

@@ -14,7 +14,16 @@ from slicemask.files import check_target, written_whole
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, slice_masks
 from slicemask.geometry.numbers import is_whole
-from slicemask.plot.figure import INK, MUTED, Aerial, Pose, check_pose, check_square, draw_slices
+from slicemask.plot.figure import (
+    INK,
+    MUTED,
+    PAPER,
+    Aerial,
+    Pose,
+    check_pose,
+    check_square,
+    draw_slices,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -209,7 +218,7 @@ def _frame(
 
 
 def _palette(frames: list[Image.Image]) -> Image.Image:
-    """The colours that serve all of some frames, as a picture in them, with exact white and ink."""
+    """The colours that serve all of some frames, as a picture in them; those of the page exact."""
     width, height = frames[0].size
     montage = Image.new("RGB", (width, height * len(frames)))
     for number, picture in enumerate(frames):
@@ -218,7 +227,7 @@ def _palette(frames: list[Image.Image]) -> Image.Image:
     # narrow it is. Six bits a channel are told apart: a busy tile would take seconds otherwise.
     reduced = ImageOps.posterize(montage, 6).quantize(_FRAME_COLOURS, Image.Quantize.MAXCOVERAGE)
     colours = np.reshape(reduced.getpalette() or [], (-1, 3))
-    for exact in (getrgb("white"), getrgb(INK)):
+    for exact in map(getrgb, ("white", INK, PAPER)):
         colours[np.abs(colours - exact).sum(axis=1).argmin()] = exact
     palette = Image.new("P", (1, 1))
     palette.putpalette(colours.ravel().tolist())

@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -235,6 +236,17 @@ def test_the_same_bytes_when_many_batches_race(tmp_path, monkeypatch):
     one = build_bank(grid, frustum, 16, out=tmp_path / "one.h5", jobs=1).path
     two = build_bank(grid, frustum, 16, out=tmp_path / "two.h5", jobs=4).path
     assert one.read_bytes() == two.read_bytes()
+
+
+def test_the_same_bytes_where_the_index_is_too_large_for_memory(tmp_path, monkeypatch):
+    import slicemask.bank.build as build
+
+    grid, frustum = PoseGrid.parse("5x4x8"), Frustum(300, 4)
+    one = build_bank(grid, frustum, 16, out=tmp_path / "one.h5").path
+    monkeypatch.setattr(build, "_HELD_INDEX", 0)
+    two = build_bank(grid, frustum, 16, out=tmp_path / "two.h5").path
+    assert one.read_bytes() == two.read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
 
 
 # The masks of tiny_v1.h5, worked out by hand: four poses, two slices of 90 degrees, 2 x 2 cells.
