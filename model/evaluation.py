@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -26,7 +25,7 @@ from model.metrics import Floor, PoseErrors, candidate_floor, pose_errors
 from model.refinement import DEFAULT, Refine, near
 from model.runs import Checkpoint
 from model.uncertainty import Calibration, region
-from slicemask.files import write_text
+from slicemask.files import check_folder, write_text
 from slicemask.plot import save_figure
 
 Progress = Callable[[int, int], None]
@@ -225,7 +224,7 @@ def evaluate(
     folder = Path(out) if out is not None else Path(run) / "evaluation" / name
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
-    _check_folder(folder)
+    check_folder(folder, RunError)
     settings = {
         "run": str(run),
         "checkpoint": checkpoint,
@@ -344,15 +343,6 @@ def _keep(estimate: Estimate, truth: NDArray[np.float64]) -> _Kept:
         bool(held[row, column]),
         float(held.mean() * (u1 - u0) * (v1 - v0)),
     )
-
-
-def _check_folder(folder: Path) -> None:
-    """Raise RunError if results cannot go to a folder, which need not be there."""
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise RunError(f"{there}: is no folder; name another for the results")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise RunError(f"{there}: may not be written to; name another folder for the results")
 
 
 def _write(evaluation: Evaluation, figures: dict[str, Figure], folder: Path) -> None:

@@ -34,7 +34,7 @@ from model.runs import RunFolder, build_model, load_weights, read_checkpoint
 from model.scoring import Candidates, heat_map, score_candidates, score_masks
 from model.slicematch import SliceMatch
 from slicemask import PoseGrid, build_bank, slice_masks
-from slicemask.files import write_text
+from slicemask.files import check_folder, write_text
 from slicemask.plot import save_figure
 from slicemask.threads import thread_count
 
@@ -91,7 +91,7 @@ def train(
     # Lightning introduces itself at length.
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     # Everything that can be wrong with the request is found before the folder is touched.
-    run = RunFolder(Path(out))
+    run = RunFolder(check_folder(out, RunError))
     # The processes of further devices find the folder that the first one has made.
     if is_first_process() and not resume and run.path.exists() and any(run.path.iterdir()):
         raise RunError(

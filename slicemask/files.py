@@ -28,16 +28,37 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
             f"{path}: its suffix is {path.suffix or 'missing'}; name a file that ends in "
             f"{' or '.join(suffixes)}"
         )
-    try:
-        is_folder, has_folder = path.is_dir(), path.parent.is_dir()
-    except OSError as reason:  # a name too long, say
-        raise error(f"{path}: cannot be: {reason.strerror}; name another file") from reason
-    if is_folder:
+    if fault := _fault(_partial(path)):  # whose name is longer
+        raise error(f"{path}: cannot be: {fault}; name another file")
+    if path.is_dir():
         raise error(f"{path}: is a folder; name a file")
-    if not has_folder:
+    if not path.parent.is_dir():
         raise error(f"{path.parent}: there is no such folder; make it, or name another")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise error(f"{path.parent}: may not be written to; name another folder")
+    return path
+
+
+def check_folder(path: str | Path, error: type[SlicemaskError]) -> Path:
+    """Return the path of a folder for results, or raise ``error`` if it cannot be one.
+
+    It need not be there, nor the folders above it.
+
+    Parameters
+    ----------
+    path : path
+        The folder.
+    error : type
+        What to raise.
+    """
+    path = Path(path)
+    if fault := _fault(path):
+        raise error(f"{path}: cannot be: {fault}; name another folder")
+    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    if not there.is_dir():
+        raise error(f"{there}: is no folder; name another one")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise error(f"{there}: may not be written to; name another folder")
     return path
 
 
@@ -52,7 +73,7 @@ def written_whole(
     A link at ``path`` is replaced by the file. Raises ``error``, with the remedy, if the file
     cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = _partial(path)
     try:
         try:
             yield partial
@@ -69,3 +90,18 @@ def write_text(path: Path, text: str, error: type[SlicemaskError], remedy: str =
     """Write a text, UTF-8 and its line ends as they are, as `written_whole` does."""
     with written_whole(path, error, remedy) as partial:
         partial.write_text(text, encoding="utf-8", newline="")
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.partial")
+
+
+def _fault(path: Path) -> str | None:
+    """Why there cannot be such a path, as when its name is too long; None if there can."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as reason:
+        return reason.strerror
+    return None

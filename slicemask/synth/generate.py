@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from slicemask.errors import SynthError
+from slicemask.files import check_folder
 from slicemask.shield import Check, shielded
 from slicemask.synth import kitti, vigor
 from slicemask.synth.files import write_text
@@ -201,7 +202,7 @@ def _check_at_least(name: str, value: int, least: int) -> None:
 
 def _claim(root: Path, record: dict[str, Any]) -> None:
     """Make the root this data set's, or refuse one that holds something else."""
-    path = root / RECORD
+    path = check_folder(root, SynthError) / RECORD
     try:
         root.mkdir(parents=True, exist_ok=True)
         # In this order: another call may be making the same data set, its record first.
