@@ -15,23 +15,33 @@ from typing import Any
 
 import click
 
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Look for no garbage: what is imported is none, and to find that out takes long."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.freeze()
+            gc.unfreeze()  # all are old ones now, which are seldom looked through
+            gc.enable()
+
+
 # Builds have threads of their own and multiply no matrices. OpenBLAS's, which NumPy starts, would
 # only spin beside them.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# What is imported is no garbage. To look for some in it, now and at the end, takes as long as a
-# tenth of a build.
-gc.disable()
 
-import slicemask
-from slicemask import Frustum, PoseGrid, SlicemaskError
-from slicemask.bank.seal import VERSION
-from slicemask.bank.write import FORMAT
-from slicemask.shield import exit_on_signals
+with _no_collection():
+    import slicemask
+    from slicemask import Frustum, PoseGrid, SlicemaskError
+    from slicemask.bank.seal import VERSION
+    from slicemask.bank.write import FORMAT
+    from slicemask.shield import exit_on_signals
 
-gc.freeze()
-gc.enable()
-
-# How long a thread may keep the interpreter from another one that wants it.
+# How long a thread of a build may keep the interpreter from another one that wants it.
 _TURN_S = 0.0002
 
 
@@ -41,9 +51,8 @@ class _Group(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
         exit_on_signals()
-        # Threads of a build want the interpreter for an instant, between long calls that do
-        # without it; by default each may have to wait 5 ms for it.
-        sys.setswitchinterval(_TURN_S)
+        # What was imported is no garbage at the end, either.
+        gc.freeze()
         try:
             return super().invoke(ctx)
         except SlicemaskError as error:
@@ -81,6 +90,21 @@ class _Numbers(click.ParamType):
         if len(numbers) != len(self.name.split(",")):
             self.fail(f"{value!r} is not {self.name}", param, ctx)
         return numbers
+
+
+@contextmanager
+def _short_turns() -> Iterator[None]:
+    """Let threads take turns at the interpreter quickly.
+
+    Those of a build want it for an instant, between long calls that do without it; by default each
+    may have to wait 5 ms for it.
+    """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_TURN_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 @contextmanager
@@ -236,7 +260,7 @@ def build(
         if pose_file is not None
         else PoseGrid.parse(str(grid), extent or (0.0, 0.0, 1.0, 1.0), places)
     )
-    with _progress("building", "poses") as progress:
+    with _progress("building", "poses") as progress, _short_turns():
         result = slicemask.build_bank(
             poses,
             frustum,

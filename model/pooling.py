@@ -40,9 +40,9 @@ class PoolingPlan:
     ----------
     gathered : list of (int32 [R, m], float32 [R, m])
         Cells and fractions of the masks pooled for all slice numbers at once.
-    single : list of (int64 [R_n], NumPy int [R_n + 1])
+    single : list of (int64 [R_n], NumPy integers [R_n + 1])
         For each slice number, the masks pooled for it alone, and how many nonzeros come before
-        each of them, and in all. For the latter a GPU would have to be waited for at each block.
+        each of them, and in all: in NumPy, so that to cut blocks asks a GPU for nothing.
     slot : int [K, N]
         Which share is that of slice n of pose k. Shares stand in order: those of the gathered
         masks, N each, then those of single masks by slice number.

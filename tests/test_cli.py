@@ -59,6 +59,12 @@ def test_build_says_what_it_built_and_then_that_it_is_there(run, bank):
     assert [path.name for path in bank.parent.iterdir()] == [bank.name]
 
 
+def test_a_build_leaves_the_threads_turns_as_they_were(run):
+    before = sys.getswitchinterval()
+    assert run(*SMALL).exit_code == 0
+    assert sys.getswitchinterval() == before
+
+
 def test_build_as_json(run):
     content = json.loads(run(*SMALL, "--json").output)
     assert content["poses"] == 72

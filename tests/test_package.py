@@ -16,6 +16,21 @@ def test_importing_loads_no_torch_click_or_matplotlib():
     assert found.stdout.split() == []
 
 
+def test_importing_the_command_leaves_the_interpreter_as_it_was():
+    code = (
+        "import gc, sys\n"
+        "before = sys.getswitchinterval()\n"
+        "import cli\n"
+        "on = gc.isenabled()\n"
+        "del sys.modules['cli']\n"
+        "gc.disable()\n"
+        "import cli\n"
+        "print(on, gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval() == before)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["True", "False", "0", "True"]
+
+
 def test_public_names():
     # A name taken out of this list breaks somebody's code: do it on purpose, and in a changelog.
     assert slicemask.__all__ == [

@@ -79,8 +79,9 @@ def build_bank(
 ) -> BuildResult:
     """Build the bank of poses' slice masks, or find it built.
 
-    Memory is bounded: masks are streamed to the file, and nothing is held for each pose of a grid.
-    Of a list, its poses and some 100 bytes for each are. The same arguments and versions give the
+    Memory is bounded: masks are streamed to the file, and of a grid's poses nothing is held but
+    their index, and that only up to 16 MiB. Of a list, its poses and some 100 bytes for each are
+    held. The same arguments and versions give the
     same bytes, whatever ``jobs`` is.
 
     Parameters
@@ -211,7 +212,8 @@ def _build(
     with BankWriter(path, spec, pool) as writer, contextlib.ExitStack() as after:
         # After an error, what no thread has begun is dropped.
         after.callback(pool.shutdown, cancel_futures=True)
-        pool.submit(engine_fractions, spec.engine)  # its import, while the first slices are found
+        # The engine is imported while the first slices are found. An error comes again with them.
+        pool.submit(engine_fractions, spec.engine)
         index = after.enter_context(_empty_index((total, slices), path.parent))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
         pieces = _pieces(source, spec, index)

@@ -39,8 +39,9 @@ def fletcher32(data: bytes) -> int:
     the place of 0 unless all words are 0.
     """
     words = np.frombuffer(data + bytes(len(data) % 2), dtype="<u2").astype(np.int64)
-    # The second sum adds up the first one after each word. Modulo 65535, the product with 256 puts
-    # a word's two bytes the other way round; the sums are fewer than the words.
+    # These are little-endian: modulo 65535, a word times 256 has its two bytes the other way round,
+    # and swapping the sums is cheaper than every word. The second sum adds up the first one after
+    # each word.
     totals = 256 * int(words.sum()), 256 * int(words.cumsum().sum())
     first, second = ((total - 1) % 65535 + 1 if total else 0 for total in totals)
     return second << 16 | first

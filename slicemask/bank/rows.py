@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -74,7 +75,7 @@ def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.floa
     fractions: NDArray[np.float32] = engine_fractions(engine)(
         images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
     ).astype(np.float32)  # next to 1, float32 knows no noise
-    if some.all():
+    if some.all():  # as nearly always: a copy would take longer than the masks themselves
         return fractions
     masks = np.zeros((len(some), cells, cells), dtype=np.float32)
     masks[width_deg == 360.0] = 1.0
@@ -86,17 +87,17 @@ def _image_rows(
     sectors: NDArray[np.float32], sector: NDArray[np.int64], symmetry: NDArray[np.int64]
 ) -> Rows:
     """Rows of images of sectors' masks [R, L, L]."""
-    # Sorted by symmetry, each is one copy.
+    # In the order of the symmetries, all images by one of them are made by one copy.
     order = np.argsort(symmetry, kind="stable")
     ends = np.searchsorted(symmetry[order], np.arange(len(SYMMETRIES) + 1))
-    masks = sectors[sector[order]]
-    moved = np.empty_like(masks)
-    for image, start, end in zip(SYMMETRIES, ends, ends[1:], strict=False):
-        moved[start:end] = image.masks(masks[start:end])
-    masks[order] = moved
-    flat = masks.reshape(-1)
+    dense = sectors[sector[order]]
+    moved = np.empty_like(dense)
+    for image, (start, end) in zip(SYMMETRIES, pairwise(ends), strict=True):
+        moved[start:end] = image.masks(dense[start:end])
+    dense[order] = moved
+    flat = dense.reshape(-1)
     at = np.flatnonzero(flat >= NEGLIGIBLE)
-    starts = np.arange(len(masks) + 1) * masks[0].size
+    starts = np.arange(len(dense) + 1) * dense[0].size
     counts = np.diff(np.searchsorted(at, starts))
     cell = at - np.repeat(starts[:-1], counts)
     return Rows(counts, cell.astype(np.int32), flat[at])

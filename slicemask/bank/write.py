@@ -72,7 +72,7 @@ class BankWriter:
 
     Used in a ``with`` statement: rows are added in order, `finish` adds the rest, and leaving the
     block without an error seals the file, brings it safely to disk and renames it to the target.
-    Leaving with an error removes it.
+    Leaving with an error removes it. That the file cannot be begun is told with the first rows.
 
     Parameters
     ----------
@@ -91,6 +91,7 @@ class BankWriter:
         self.rows = 0
         self.nonzeros = 0
         self._sink: _Sink | None = None
+        self._begun: Future[None]
         self._open = ExitStack()
         self._pool = pool
         # Chunks on their way, in the order in which they go to the file.
