@@ -140,6 +140,13 @@ def _progress(what: str, unit: str) -> Iterator[Callable[[int, int], None] | Non
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+def _size(count: int) -> str:
+    """Bytes as people read them, such as 4.6 MB."""
+    from rich.filesize import decimal
+
+    return decimal(count)
+
+
 def _print(as_json: bool, content: dict[str, Any], text: str) -> None:
     if as_json:
         try:
@@ -281,9 +288,9 @@ def build(
         "bytes": result.path.stat().st_size,
         "seconds": round(time.perf_counter() - start, 3),
     }
-    size = f"{content['bytes'] / 1e6:.1f} MB"
     figures = (
-        f"{len(poses):,} poses, {result.rows:,} distinct masks of {content['masks']:,}, {size}"
+        f"{len(poses):,} poses, {result.rows:,} distinct masks of {content['masks']:,}, "
+        f"{_size(content['bytes'])}"
     )
     _print(
         as_json,
@@ -314,13 +321,13 @@ def info(bank: str, as_json: bool) -> None:
         }
     lines = {
         "bank": f"{bank} ({FORMAT}, version {VERSION})",
-        "poses": f"{len(opened):,} ({spec.poses})",
+        "poses": f"{len(opened):,} ({'a list' if spec.grid is None else spec.poses})",
         "HFoV": f"{spec.frustum.hfov_deg:g} degrees, {spec.frustum.projection}",
         "slices": str(spec.frustum.slices),
         "cells": f"{spec.cells} x {spec.cells}",
         "masks": f"{content['masks']:,}, {opened.rows:,} of them distinct",
         "nonzeros": f"{opened.nonzeros:,}, {opened.nonzeros / opened.rows:.1f} a distinct mask",
-        "size": f"{content['bytes'] / 1e6:.2f} MB",
+        "size": _size(content["bytes"]),
         "engine": spec.engine,
         "versions": ", ".join(f"{name} {text}" for name, text in sorted(spec.versions.items())),
     }
