@@ -8,9 +8,10 @@ from PIL import Image
 
 from model.metrics import Floor, PoseErrors
 from slicemask import Frustum, PoseGrid
-from slicemask.plot import edge_ends
+from slicemask.plot import arrow_tip, edge_ends
 
 _ESTIMATE, _TRUTH = "#e6007e", "#00b050"
+_MARGIN = 0.04  # how far an arrow may reach out of the tile, whose side is 1
 
 
 def draw_estimate(
@@ -67,7 +68,7 @@ def draw_estimate(
     _draw_camera(axes, np.asarray(pose, dtype=np.float64), _ESTIMATE, "estimate")
     axes.set(xlim=(0, 1), ylim=(1, 0), xticks=[], yticks=[])
     axes.legend(loc="upper right", framealpha=0.85)
-    axes.set_title(title, fontsize="medium", wrap=True)
+    axes.set_title(title, fontsize="medium", wrap=True, pad=12)
     return figure
 
 
@@ -122,13 +123,16 @@ def _draw_slices(axes: Axes, pose: NDArray[np.float64], frustum: Frustum) -> Non
 
 
 def _draw_camera(axes: Axes, pose: NDArray[np.float64], colour: str, label: str) -> None:
-    u, v, heading = pose[0], pose[1], np.radians(pose[2])
+    u, v, _ = pose
     axes.annotate(
         "",
-        xy=(u + 0.12 * np.sin(heading), v - 0.12 * np.cos(heading)),
+        xy=arrow_tip(pose, _MARGIN),
         xytext=(u, v),
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.2},
-    )
+        annotation_clip=False,
+        arrowprops={
+            "arrowstyle": "-|>", "color": colour, "linewidth": 2.2, "shrinkA": 0, "shrinkB": 0
+        },
+    )  # fmt: skip
     axes.plot(
         u, v, "o", color=colour, markeredgecolor="white", markersize=8, label=label, clip_on=False
     )

@@ -1,10 +1,11 @@
 """Pictures of slices. Matplotlib is loaded when a picture is drawn, not on import."""
 
-from slicemask.plot.figure import draw_pose, draw_slices, edge_ends, slice_colours
+from slicemask.plot.figure import arrow_tip, draw_pose, draw_slices, edge_ends, slice_colours
 from slicemask.plot.files import animate_heading, check_figure_target, read_aerial, save_figure
 
 __all__ = [
     "animate_heading",
+    "arrow_tip",
     "check_figure_target",
     "draw_pose",
     "draw_slices",

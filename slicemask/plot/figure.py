@@ -359,14 +359,39 @@ def _draw_numbers(
         )
 
 
+def arrow_tip(pose: Pose, margin: float) -> Array:
+    """Where the arrow along a camera's heading ends.
+
+    Parameters
+    ----------
+    pose : array [3]
+        u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
+    margin : float
+        How far out of the tile, whose side is 1, the arrow may reach; it is cut short there.
+
+    Returns
+    -------
+    tip : float64 [2]
+        u, v in the aerial frame.
+
+    Examples
+    --------
+    >>> arrow_tip((0.5, 0.5, 90.0), 0.05).tolist()
+    [0.63, 0.5]
+    >>> arrow_tip((1.0, 0.5, 90.0), 0.05).tolist()
+    [1.05, 0.5]
+    """
+    place = np.asarray(pose[:2], dtype=np.float64)
+    framed = (place + margin) / (1.0 + 2.0 * margin)
+    ahead = (edge_ends((*framed, 0.0), pose[2]) - framed) * (1.0 + 2.0 * margin)
+    return np.asarray(place + ahead * min(1.0, _ARROW / math.hypot(*ahead)))
+
+
 def _draw_camera(axes: "Axes", pose: Array) -> None:
     """The camera, and an arrow along its heading."""
     from matplotlib.patheffects import withStroke
 
-    # The arrow stays within the margin, clear of the axes, where the camera looks out of the tile.
-    framed = (pose[:2] + MARGIN) / (1.0 + 2.0 * MARGIN)
-    ahead = (edge_ends((*framed, 0.0), pose[2]) - framed) * (1.0 + 2.0 * MARGIN)
-    tip = pose[:2] + ahead * min(1.0, _ARROW / math.hypot(*ahead))
+    tip = arrow_tip(pose, MARGIN)  # clear of the axes
     arrow = axes.annotate(
         "",
         xy=(tip[0], tip[1]),
