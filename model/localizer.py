@@ -516,8 +516,9 @@ def load_candidates(path: str | Path, frustum: Frustum, cells: int) -> tuple[Can
         spec = bank.spec
         if (spec.frustum, spec.cells) != (frustum, cells):
             raise ConfigError(
-                f"{path}: holds {spec.summary()}; the run needs hfov {frustum.hfov_deg} deg "
-                f"{frustum.projection}, {frustum.slices} slices and {cells}x{cells} cells"
+                f"{path}: holds {spec.summary()}; the run needs hfov {frustum.hfov_deg:g} deg "
+                f"{frustum.projection}, {frustum.slices} slices and {cells}x{cells} cells: name "
+                "such a bank, or none"
             )
         if spec.grid is None:
             raise ConfigError(f"{path}: holds a list of poses; a heat map needs the bank of a grid")

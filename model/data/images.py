@@ -81,9 +81,10 @@ def check_shape(image: Image.Image, path: str | Path, aspect: float, kind: str) 
     """
     width, height = image.size
     if not width * height or abs(width / height / aspect - 1) > 0.02:
+        shape = "square" if aspect == 1 else f"{aspect:.4g} times as wide as high"
         raise ImageError(
-            f"{path}: {width}x{height} pixels; {kind} must be {aspect:.4g} times as wide as high, "
-            "so fetch the file anew"
+            f"{path}: {width}x{height} pixels; {kind} must be {shape}: fetch the file anew, or "
+            "name another"
         )
 
 

@@ -200,6 +200,10 @@ class PoseDataset(Dataset):
     ):
         if part not in PARTS:
             raise DatasetError(f"part is {part!r}; it must be one of {', '.join(PARTS)}")
+        if not Path(config.root).is_dir():
+            raise DatasetError(
+                f"{config.root}: there is no such folder; name the root of the data tree"
+            )
         self.config = config
         self.part = part
         self.bad_samples = bad_samples

@@ -116,12 +116,14 @@ def read_labels(path: str | Path) -> VigorLabels:
 
 def _hint(path: Path) -> str:
     """Say how to come by a label file that is missing."""
+    there = [city for city in METRES_PER_PIXEL if (path.parent.parent / city).is_dir()]
+    other = f"name only cities that are there ({', '.join(there)})" if there else "check the root"
     if path.parent.parent.name == "splits__corrected":
         return (
-            "put the corrected labels of SliceMatch there, name other cities, or ask for "
+            f"put the corrected labels of SliceMatch there, {other}, or ask for "
             'labels="original", which are up to 3 m wrong'
         )
-    return "check the root and the cities"
+    return other
 
 
 class VigorDataset(PoseDataset):

@@ -153,7 +153,7 @@ def test_a_bank_of_ones_own(run, cache, images, tmp_path):
 
 
 def test_pictures_that_cannot_be(localizer, images):
-    with pytest.raises(ImageError, match="must be 1 times as wide as high"):
+    with pytest.raises(ImageError, match="an aerial tile must be square: fetch"):
         localizer.localize(images[0], images[0])
     with pytest.raises(ImageError, match="must be 2 times as wide as high"):
         localizer.localize(images[1], images[1])

@@ -136,6 +136,7 @@ def test_eight_pairs_of_kitti(make_kitti_tree, slicemask, tmp_path):
         (["predict", "{0}", "--ground", "a.jpg", "--aerial", "b.png"], "is no run folder"),
         (["train", "--data", "vigor"], "setting 'root' is missing"),
         (["train", "--data", "vigor", "--root", "{0}"], "the label file is missing"),
+        (["train", "--data", "kitti", "--root", "{0}/no"], "/no: there is no such folder; name"),
         (["train", "--config", "{0}/no.yaml"], "no.yaml: there is no such file"),
         (["train", "--data", "vigor", "--root", "{0}", "--slices", "0"], "slices is 0"),
     ],
