@@ -216,7 +216,7 @@ def read_split(path: str | Path, with_pose: bool) -> tuple[list[str], np.ndarray
         If the file is missing or a line is no such line; the text names file and line.
     """
     path = Path(path)
-    hint = "it comes with the code of HighlyAccurate (LM), not with the images; put it there or set splits"
+    hint = "it comes with HighlyAccurate (LM), not with the images; put it there or set splits"
     paths, draws = [], []
     for number, line in enumerate(read_lines(path, "the split file", hint), start=1):
         name, *values = line.split()
