@@ -208,7 +208,9 @@ class BankWriter:
         except BaseException:
             self._discard()
             raise
-        _sync(self.target.parent)
+        # The bank is there. Not every system can sync a folder, so that its name is safe as well.
+        with suppress(OSError):
+            _sync(self.target.parent)
 
     def _discard(self) -> None:
         """Let go of the file, and remove it."""

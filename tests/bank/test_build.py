@@ -1,6 +1,7 @@
 """Building: reuse and refusal, two builders at once, leftovers, memory, the masks themselves."""
 
 import contextlib
+import errno
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 
 import slicemask.bank.build as build
 import slicemask.bank.rows as rows_module
+import slicemask.bank.write as write
 from slicemask import (
     BankError,
     BankExistsError,
@@ -239,6 +241,26 @@ def test_an_error_in_progress_leaves_nothing(tmp_path):
     with pytest.raises(ArithmeticError, match="48 of 48"):
         build_bank(GRID, FRUSTUM, 6, cache=tmp_path, progress=fail)
     assert files_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("only_folder", [False, True])
+def test_what_cannot_be_synced(tmp_path, monkeypatch, only_folder):
+    """A bank that may not be on the disk is none; a folder that cannot be synced is no matter."""
+    sync = write._sync
+
+    def fail(path):
+        if path.is_dir() or not only_folder:
+            raise OSError(errno.EIO, "no")
+        sync(path)
+
+    monkeypatch.setattr(write, "_sync", fail)
+    out = tmp_path / "bank.h5"
+    if only_folder:
+        assert open_bank(build_bank(GRID, FRUSTUM, 6, out=out).path).rows > 0
+    else:
+        with pytest.raises(BankError, match=r"bank.h5: cannot be written: Input/output error"):
+            build_bank(GRID, FRUSTUM, 6, out=out)
+    assert files_in(tmp_path) == (["bank.h5"] if only_folder else [])
 
 
 def test_progress_counts_poses_to_the_last(tmp_path, monkeypatch):
