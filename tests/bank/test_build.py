@@ -243,6 +243,34 @@ def test_an_error_in_progress_leaves_nothing(tmp_path):
     assert files_in(tmp_path) == []
 
 
+def test_a_file_that_cannot_be_begun_leaves_nothing(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise OSError(errno.ENOSPC, "no")
+
+    monkeypatch.setattr(write.h5py, "File", fail)
+    with pytest.raises(BankError, match=r"bank.h5: cannot be written: No space left on device"):
+        build_bank(GRID, FRUSTUM, 6, out=tmp_path / "bank.h5")
+    assert files_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["distinct_slices", "mask_rows", "_empty_index"])
+def test_an_error_while_the_file_is_being_begun_leaves_nothing(tmp_path, monkeypatch, name):
+    begin = write.BankWriter._begin
+
+    def slowly(writer):
+        time.sleep(0.3)
+        begin(writer)
+
+    def fail(*_, **__):
+        raise ArithmeticError("no")
+
+    monkeypatch.setattr(write.BankWriter, "_begin", slowly)
+    monkeypatch.setattr(build, name, fail)
+    with pytest.raises(ArithmeticError, match="no"):
+        build_bank(GRID, FRUSTUM, 6, cache=tmp_path)
+    assert files_in(tmp_path) == []
+
+
 @pytest.mark.parametrize("only_folder", [False, True])
 def test_what_cannot_be_synced(tmp_path, monkeypatch, only_folder):
     """A bank that may not be on the disk is none; a folder that cannot be synced is no matter."""
