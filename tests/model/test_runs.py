@@ -309,7 +309,7 @@ def test_nothing_is_overwritten_and_nothing_left_behind(config, tmp_path, cache)
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(RunError, match="is not empty"):
         train(config, folder, cache=cache, progress=False)
-    with pytest.raises(DatasetError, match="missing"):
+    with pytest.raises(DatasetError, match="there is no such folder"):
         train(replace(config, root="nowhere"), tmp_path / "b", cache=cache, progress=False)
     assert not (tmp_path / "b").exists()
 
