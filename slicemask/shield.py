@@ -17,6 +17,9 @@ from typing import TypeVar
 
 # How long a signal waits before it looks again whether an import is done.
 _AGAIN_S = 0.05
+# How long this thread waits for the work at a time. A signal that strikes between Python's last
+# look for signals and the wait is not seen before the wait is over.
+_WAIT_S = 0.1
 
 # Called wherever work may be stopped; raises `Stopped` there once it is to stop.
 Check = Callable[[], None]
@@ -63,7 +66,8 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
     threading.Thread(target=run, daemon=True).start()
     try:
         begin.release()
-        ended.acquire()
+        while not ended.acquire(timeout=_WAIT_S):
+            pass
     except BaseException:
         stopping = True
         if begin.locked():

@@ -46,6 +46,24 @@ def test_an_interrupt_that_comes_too_late_is_raised_all_the_same():
         shielded(work)
 
 
+def test_no_interrupt_is_lost_on_the_way_into_the_wait():
+    # The signal comes while the main thread goes to wait for the work, each time elsewhere.
+    late = []
+
+    def work(check):
+        os.kill(os.getpid(), signal.SIGINT)
+        last = time.monotonic() + 5
+        while time.monotonic() < last:
+            time.sleep(0.0005)
+            check()
+        late.append(True)
+
+    for _ in range(500):
+        with pytest.raises(KeyboardInterrupt):
+            shielded(work)
+    assert not late
+
+
 def test_it_works_away_from_the_main_thread():
     results = []
     thread = threading.Thread(target=lambda: results.append(shielded(lambda check: 5)))
