@@ -91,7 +91,8 @@ def _outside_imports(number: int, frame: FrameType | None) -> None:
     at = frame
     while at is not None:
         if at.f_code.co_filename.startswith("<frozen importlib"):
-            again = threading.Timer(_AGAIN_S, signal.raise_signal, (number,))
+            # To this thread, the main one: another's would not wake it where it waits.
+            again = threading.Timer(_AGAIN_S, signal.pthread_kill, (threading.get_ident(), number))
             again.daemon = True
             again.start()
             return

@@ -87,7 +87,7 @@ def test_a_signal_waits_until_an_import_is_done(tmp_path):
         "exit_on_signals()\n"
         "import swallows\n"
         "print('imported', flush=True)\n"
-        "time.sleep(10)\n"
+        "time.sleep(60)\n"
     )
     ran = subprocess.run(
         [sys.executable, "-c", code],
@@ -96,5 +96,6 @@ def test_a_signal_waits_until_an_import_is_done(tmp_path):
         capture_output=True,
         text=True,
         check=False,
+        timeout=30,  # not when the sleep is over
     )
     assert (ran.stdout, ran.stderr, ran.returncode) == ("imported\n", "", 128 + signal.SIGTERM)
