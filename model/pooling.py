@@ -8,19 +8,26 @@ once, however many poses have that mask as slice n. There are two ways to pool, 
   cells' features gathered once, for one product with the weights P * M^n of all n.
 - A mask that few use is pooled for each of those n alone, straight from the feature map.
 
+On a GPU a kernel does either, `model.pooling_triton`, where no gradients are asked for.
+
 Dot products need no pooling: d_g^n . sum P z' is a weighted sum of scalars. The descriptor's
 length does; a Gram matrix of the cells would give it with fewer operations, but where features
 cancel it loses twice the digits.
 """
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.util import find_spec
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 from torch.utils.checkpoint import checkpoint
+
+log = logging.getLogger(__name__)
 
 Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 
@@ -38,8 +45,12 @@ class PoolingPlan:
 
     Attributes
     ----------
-    gathered : list of (int32 [R, m], float32 [R, m])
-        Cells and fractions of the masks pooled for all slice numbers at once.
+    masks : CSR rows
+        The M distinct masks.
+    many : int64 [R]
+        The masks pooled for all slice numbers at once, by their count of cells.
+    widths : list of (int, int)
+        To how many cells they are padded, and how many in turn are padded to as many.
     single : list of (int64 [R_n], NumPy integers [R_n + 1])
         For each slice number, the masks pooled for it alone, and how many nonzeros come before
         each of them, and in all: in NumPy, so that to cut blocks asks a GPU for nothing.
@@ -48,20 +59,35 @@ class PoolingPlan:
         masks, N each, then those of single masks by slice number.
     """
 
-    gathered: list[tuple[Tensor, Tensor]]
+    masks: Masks
+    many: Tensor
+    widths: list[tuple[int, int]]
     single: list[tuple[Tensor, np.ndarray]]
     slot: Tensor
+
+    @cached_property
+    def gathered(self) -> list[tuple[Tensor, Tensor]]:
+        """Padded cells and fractions of `many`, int32 and float32 [R, m] for each of the widths."""
+        starts, cells, fractions = self.masks
+        parts = []
+        counts = [count for _, count in self.widths]
+        for (width, _), rows in zip(self.widths, self.many.split(counts), strict=True):
+            first = starts[rows, None]
+            steps = torch.arange(width, dtype=starts.dtype, device=starts.device)
+            inside = steps < starts[rows + 1, None] - first
+            at = torch.where(inside, first + steps, 0)
+            parts.append((cells[at] * inside, fractions[at] * inside))
+        return parts
 
     @property
     def shares(self) -> int:
         """How many shares there are."""
-        gathered = sum(len(cells) for cells, _ in self.gathered)
-        return gathered * self.slot.shape[1] + sum(len(rows) for rows, _ in self.single)
+        return len(self.many) * self.slot.shape[1] + sum(len(rows) for rows, _ in self.single)
 
     @property
     def vectors(self) -> int:
         """How many vectors of C channels pooling goes through: gathered cells and descriptors."""
-        return sum(cells.numel() for cells, _ in self.gathered) + self.shares
+        return sum(width * count for width, count in self.widths) + self.shares
 
 
 def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
@@ -74,7 +100,7 @@ def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
     masks : CSR rows
         The M distinct masks.
     """
-    starts, cells, fractions = masks
+    starts = masks[0]
     slices = index.shape[1]
     lengths = starts[1:] - starts[:-1]
     used = torch.zeros(slices, len(lengths), dtype=torch.bool, device=index.device)
@@ -87,13 +113,8 @@ def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
     padded = -(-lengths // _PADDED) * _PADDED
     numbers = torch.nonzero(many)[:, 0]
     numbers = numbers[torch.argsort(padded[numbers], stable=True)]
-    widths, counts = torch.unique_consecutive(padded[numbers], return_counts=True)
-    gathered = []
-    for width, rows in zip(widths.tolist(), numbers.split(counts.tolist()), strict=True):
-        steps = torch.arange(width, dtype=starts.dtype, device=starts.device)
-        inside = steps < lengths[rows, None]
-        at = torch.where(inside, starts[rows, None] + steps, 0)
-        gathered.append((cells[at] * inside, fractions[at] * inside))
+    runs = torch.unique_consecutive(padded[numbers], return_counts=True)
+    widths = list(zip(*(run.tolist() for run in runs), strict=True))
 
     alone = [torch.nonzero(used[n] & ~many)[:, 0] for n in range(slices)]
     single = [(rows, _sums(lengths[rows]).numpy(force=True)) for rows in alone]
@@ -108,12 +129,11 @@ def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
         place[rows] = torch.arange(first, first + len(rows), dtype=slot.dtype, device=slot.device)
         slot[:, n] = place[index[:, n]]
         first += len(rows)
-    return PoolingPlan(gathered, single, slot)
+    return PoolingPlan(masks, numbers, widths, single, slot)
 
 
 def pool_shares(
     plan: PoolingPlan,
-    masks: Masks,
     ground: Tensor,
     features: Tensor,
     attention: Tensor,
@@ -124,9 +144,7 @@ def pool_shares(
     Parameters
     ----------
     plan : PoolingPlan
-        Of these masks.
-    masks : CSR rows
-        The M distinct masks.
+        Of the candidates' masks.
     ground : float [N, C]
         d_g^n.
     features : float [L * L, C]
@@ -134,18 +152,23 @@ def pool_shares(
     attention : float [L * L, N]
         M_a^n.
     values_at_once : int, optional
-        Values in one block, which bounds the memory; chosen for the device by default.
+        Values in one block, which bounds the memory, of plain torch operations; by default as
+        many as suit the device, or a kernel that has no blocks.
 
     Returns
     -------
     shares : float [shares, 2]
         d_g^n . d_a, and 1 where d_a is not zero; ordered as `PoolingPlan.slot` says.
     """
-    if values_at_once is None:
-        values_at_once = _VALUES_CPU if features.device.type == "cpu" else _VALUES_GPU
     dots = attention * (features @ ground.T)  # z'_a^n . d_g^n of each cell
+    if values_at_once is None:
+        if not dots.requires_grad and _has_kernel(features):
+            from model.pooling_triton import pool_shares_fused
+
+            return pool_shares_fused(plan, features, attention, dots)
+        values_at_once = _VALUES_CPU if features.device.type == "cpu" else _VALUES_GPU
     vectors = values_at_once // features.shape[1]
-    blocks = _pool_blocks(plan, masks, features, attention, dots, vectors)
+    blocks = _pool_blocks(plan, features, attention, dots, vectors)
     if dots.requires_grad:
         return torch.cat(list(blocks))
     # Small results kept between large blocks would leave holes in memory that none fits in.
@@ -157,9 +180,43 @@ def pool_shares(
     return shares
 
 
+def _has_kernel(features: Tensor) -> bool:
+    """Whether `model.pooling_triton` takes these: float32, on a GPU of NVIDIA's that has TF32."""
+    return (
+        features.is_cuda
+        and features.dtype == torch.float32
+        and features.numel() < 2**31
+        and torch.version.hip is None
+        and torch.cuda.get_device_capability(features.device) >= (8, 0)
+        and _builds(features.device)
+    )
+
+
+@cache
+def _builds(device: torch.device) -> bool:
+    """Whether Triton is here, and builds what it is given; pools a mask of one cell to see."""
+    if find_spec("triton") is None:
+        return False
+    one = torch.ones(1, 1, device=device)
+    mask = torch.tensor([0, 1], device=device), torch.zeros(1, device=device).int(), one[0]
+    plan = plan_pooling(torch.zeros(1, 1, device=device).long(), mask)
+    try:
+        from model.pooling_triton import pool_shares_fused
+
+        pool_shares_fused(plan, one, one, one)
+    except Exception as error:  # whatever Triton, a C compiler or the assembler may raise
+        log.warning(
+            "scoring on %s does without its kernel, and takes longer: Triton cannot build it (%s); "
+            "it needs a C compiler with Python's headers, and has to know the GPU",
+            device,
+            " ".join(str(error).split()),
+        )
+        return False
+    return True
+
+
 def _pool_blocks(
     plan: PoolingPlan,
-    masks: Masks,
     features: Tensor,
     attention: Tensor,
     dots: Tensor,
@@ -179,7 +236,7 @@ def _pool_blocks(
         dots_n = dots[:, n, None].contiguous()
         for first in range(0, len(numbers), step):
             last = min(first + step, len(numbers))
-            rows = _take_rows(masks, numbers[first:last], int(sums[last] - sums[first]))
+            rows = _take_rows(plan.masks, numbers[first:last], int(sums[last] - sums[first]))
             yield call(_pool_single, *rows, attended, dots_n)
 
 

@@ -160,8 +160,9 @@ def score_candidates(
     candidates : Candidates
         K poses, the same for the whole batch, on the tensors' device.
     values_at_once : int, optional
-        Values that are pooled in one block, which bounds the memory; by default, as many as suit
-        the device.
+        Values that are pooled in one block of plain torch operations, which bounds the memory; by
+        default as many as suit the device, or, on a GPU and without gradients, a kernel that has
+        no blocks.
 
     Returns
     -------
@@ -179,12 +180,10 @@ def score_candidates(
         ground = ground.to(dtype)
         features = features.to(dtype).flatten(2).mT.contiguous()  # [B, L * L, C]
         attention = attention.to(dtype).flatten(2).mT.contiguous()  # [B, L * L, N]
-        plan, masks = candidates.pooling, candidates.masks
+        plan = candidates.pooling
         sums = torch.stack(
             [
-                F.embedding_bag(
-                    plan.slot, pool_shares(plan, masks, *pair, values_at_once), mode="sum"
-                )
+                F.embedding_bag(plan.slot, pool_shares(plan, *pair, values_at_once), mode="sum")
                 for pair in zip(ground, features, attention, strict=True)
             ]
         )  # [B, K, 2]

@@ -5,12 +5,18 @@ camera at that column's azimuth meets, near ones at the bottom and far ones at t
 that matches slices therefore has something true to find.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
+
+# Triton reads this when it is imported: without a GPU, its kernels are interpreted.
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"
 
 VIGOR_METRES_PER_PIXEL = {
     "NewYork": 0.113248,

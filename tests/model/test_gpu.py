@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from cli import main
 from model.aggregation import unit
+from model.pooling import _has_kernel
 from model.refinement import Similarity
 from model.scoring import Candidates, score_candidates
 from slicemask import Frustum, PoseGrid, build_bank, open_bank, slice_masks
@@ -61,6 +62,22 @@ def test_scores_and_their_gradients(frustum, pair, tmp_path):
         found[device] = [x.detach().cpu() for x in (scores, *gradients)]
     for one, other in zip(found["cuda"], found["cpu"], strict=True):
         torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("cancelled", [0.0, 0.99])
+def test_scores_by_the_kernel(frustum, pair, tmp_path, cancelled):
+    """Without gradients; also where the features of a mask nearly cancel."""
+    path = build_bank(PoseGrid.parse("6x5x32"), frustum, CELLS, cache=tmp_path).path
+    with open_bank(path) as bank:
+        candidates = Candidates.from_bank(bank)
+        mask = torch.from_numpy(bank.masks(np.array([400]))[0, 3])
+    ground, features, _ = pair
+    mean = torch.einsum("ij,bcij->bc", mask, features) / mask.sum()
+    pair = ground, features - cancelled * mean[..., None, None], torch.ones(1, 16, CELLS, CELLS)
+    assert _has_kernel(features.cuda())
+    expected = score_candidates(*(x.double() for x in pair), candidates)
+    found = score_candidates(*(x.cuda() for x in pair), candidates.to("cuda"))
+    torch.testing.assert_close(found.cpu().double(), expected, rtol=1e-4, atol=1e-6)
 
 
 def test_scoring_does_not_wait(frustum, pair, tmp_path):

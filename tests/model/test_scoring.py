@@ -180,7 +180,7 @@ def test_masks_are_pooled_the_way_that_suits_their_use(tmp_path):
     for half_width, ways in ((20.0, "single"), (105.0, "both")):
         some = candidates.within(heading_prior_deg=(0.0, half_width))
         plan = some.pooling
-        assert bool(plan.gathered) == (ways == "both")
+        assert bool(len(plan.many)) == (ways == "both")
         assert any(len(rows) for rows, _ in plan.single)
         found = score_candidates(*inputs, some)
         torch.testing.assert_close(found, whole[:, some.kept], rtol=1e-5, atol=1e-6)
@@ -201,7 +201,8 @@ def test_scoring_asks_for_no_value_that_a_gpu_would_have_to_be_waited_for(bank, 
         )
         unknown.__dict__["pooling"] = replace(
             plan,
-            gathered=[(fake(cells), fake(fractions)) for cells, fractions in plan.gathered],
+            masks=unknown.masks,
+            many=fake(plan.many),
             single=[(fake(rows), sums) for rows, sums in plan.single],
             slot=fake(plan.slot),
         )
