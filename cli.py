@@ -527,6 +527,13 @@ _checkpoint = click.option(
     "--checkpoint", type=click.Choice(["best", "last"]), default="best", show_default=True
 )
 _device = click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda[:N].")
+_precision = click.option(
+    "--precision",
+    type=click.Choice(["32-true", "16-mixed", "bf16-mixed"]),
+    default="32-true",
+    show_default=True,
+    help="Of the encoders; what follows them is float32.",
+)
 _root = click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
 _workers = click.option(
     "--workers", type=int, help="Processes that load images.  [default: the run's]"
@@ -537,6 +544,7 @@ _run_options = (
     click.option("--bank", metavar="FILE", help="A bank of candidates instead."),
     _checkpoint,
     _device,
+    _precision,
     _cache,
 )
 
@@ -782,6 +790,7 @@ def _certainty(estimate: Any, metres_per_pixel: float | None, calibrated: bool) 
     "--runs", type=int, default=5, show_default=True, help="Repetitions; their median counts."
 )
 @_device
+@_precision
 @_cache
 @_as_json
 @click.pass_context
@@ -790,6 +799,7 @@ def benchmark(
     run: str | None,
     grid: str | None,
     device: str,
+    precision: str,
     cache: str | None,
     batch_size: int,
     runs: int,
@@ -800,7 +810,13 @@ def benchmark(
     _check_model_installed()
     from model.benchmark import time_run, time_settings
 
-    shared = {"device": device, "cache": cache, "batch_size": batch_size, "runs": runs}
+    shared = {
+        "device": device,
+        "precision": precision,
+        "cache": cache,
+        "batch_size": batch_size,
+        "runs": runs,
+    }
     if run is not None:
         for name in settings:
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from model.devices import choose_device
+from model.devices import Precision, choose_device
 from model.errors import ConfigError, is_out_of_memory
 from model.localizer import Localizer, load_candidates
 from model.runs import Checkpoint
@@ -40,6 +40,8 @@ class Timings:
         Pairs in a batch.
     device : str
         Where it ran.
+    precision : {"32-true", "16-mixed", "bf16-mixed"}
+        In which the encoders computed.
     threads : int
         Threads of torch on the CPU.
     """
@@ -51,6 +53,7 @@ class Timings:
     distinct_masks: int
     batch_size: int
     device: str
+    precision: Precision
     threads: int
 
     @property
@@ -69,10 +72,12 @@ class Timings:
             ("aggregate", self.aggregate_s, "ground descriptors, attention"),
             ("score", self.score_s, f"{self.poses:,} poses, {self.distinct_masks:,} masks"),
         )
+        encoders = "" if self.precision == "32-true" else f", encoders {self.precision}"
         lines = [f"{name:<10}{1e3 * s:>10.1f} ms  {what}" for name, s, what in stages]
         where = self.device if self.device != "cpu" else f"cpu, {self.threads} threads"
         lines.append(
-            f"{self.frames_per_second:.2f} frames a second ({where}, batches of {self.batch_size})"
+            f"{self.frames_per_second:.2f} frames a second ({where}, batches of {self.batch_size}"
+            f"{encoders})"
         )
         return "\n".join(lines)
 
@@ -85,6 +90,7 @@ def time_run(
     checkpoint: Checkpoint = "best",
     device: str = "auto",
     cache: str | Path | None = None,
+    precision: Precision = "32-true",
     batch_size: int = 1,
     runs: int = 5,
 ) -> Timings:
@@ -103,7 +109,15 @@ def time_run(
         As `Localizer.load`, or if batch size or runs are below 1.
     """
     _check(batch_size, runs)
-    loaded = Localizer.load(run, bank, checkpoint=checkpoint, grid=grid, device=device, cache=cache)
+    loaded = Localizer.load(
+        run,
+        bank,
+        checkpoint=checkpoint,
+        grid=grid,
+        device=device,
+        cache=cache,
+        precision=precision,
+    )
     sizes = loaded.config.ground_size, loaded.config.aerial_size
     return time_stages(loaded.model, loaded.within(), loaded.device, *sizes, batch_size, runs)
 
@@ -121,6 +135,7 @@ def time_settings(
     slices: int = 16,
     device: str = "auto",
     cache: str | Path | None = None,
+    precision: Precision = "32-true",
     batch_size: int = 1,
     runs: int = 5,
     progress: Progress | None = None,
@@ -137,6 +152,8 @@ def time_settings(
         As for `choose_device`.
     cache : path, optional
         The folder of banks, as for `slicemask.build_bank`.
+    precision : {"32-true", "16-mixed", "bf16-mixed"}
+        In which the encoders compute, as for `Localizer.load`.
     batch_size, runs
         As for `time_run`.
     progress : callable, optional
@@ -155,6 +172,7 @@ def time_settings(
     chosen = choose_device(device)
     frustum, poses = Frustum(hfov_deg, slices, projection), PoseGrid.parse(grid)
     model = SliceMatch(encoder, weights, ground_size, aerial_size, stride, slices).eval()
+    model.encode_in(precision)
     bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path
     candidates, _ = load_candidates(bank, frustum, model.cells)
     return time_stages(model, candidates, chosen, ground_size, aerial_size, batch_size, runs)
@@ -192,9 +210,9 @@ def time_stages(
         with torch.no_grad():
             ground_images = torch.randn(batch_size, 3, *ground_size, device=device)
             aerial_images = torch.randn(batch_size, 3, aerial_size, aerial_size, device=device)
-            encode_s, (ground_features, aerial) = _median_seconds(encode, runs, device)
-            aggregate_s, (ground, attention) = _median_seconds(aggregate, runs, device)
-            score_s, _ = _median_seconds(score, runs, device)
+            encode_s, (ground_features, aerial) = median_seconds(encode, runs, device)
+            aggregate_s, (ground, attention) = median_seconds(aggregate, runs, device)
+            score_s, _ = median_seconds(score, runs, device)
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
@@ -210,6 +228,7 @@ def time_stages(
         distinct_masks=len(torch.unique(candidates.index)),
         batch_size=batch_size,
         device=str(candidates.index.device),
+        precision=model.aerial_encoder.precision,
         threads=torch.get_num_threads(),
     )
 
@@ -220,7 +239,7 @@ def _check(batch_size: int, runs: int) -> None:
             raise ConfigError(f"{name} is {value}; it must be at least 1")
 
 
-def _median_seconds(stage: Callable[[], Any], runs: int, device: torch.device) -> tuple[float, Any]:
+def median_seconds(stage: Callable[[], Any], runs: int, device: torch.device) -> tuple[float, Any]:
     """Median seconds of a stage after one run that is not counted, and what it gives."""
     result = stage()
     seconds = []

@@ -11,12 +11,11 @@ import yaml
 from model.data import KittiConfig, KittiDataset, PoseDataset, VigorConfig, VigorDataset
 from model.data.kitti import SHIFT_RANGE_M, SPAN_M
 from model.data.samples import BadSamples
+from model.devices import Precision
 from model.errors import ConfigError
 from model.settings import convert, read_settings
 from slicemask import Frustum, PoseGrid
 from slicemask.files import write_text
-
-Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 
 # The paper's settings where they depend on the data (SliceMatch, CVPR 2023, section 4.2).
 _PAPER: dict[str, dict[str, Any]] = {

@@ -1,8 +1,32 @@
-"""Where a model is trained, and where it runs."""
+"""Where a model is trained, where it runs, and in how many bits."""
+
+from contextlib import AbstractContextManager, nullcontext
+from typing import Literal, get_args
 
 import torch
 
 from model.errors import ConfigError
+
+# Lightning's names.
+Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
+
+_AUTOCAST = {"16-mixed": torch.float16, "bf16-mixed": torch.bfloat16}
+
+
+def check_precision(precision: str) -> Precision:
+    """Return the name of a precision, or raise ConfigError if there is none of that name."""
+    if precision not in get_args(Precision):
+        raise ConfigError(
+            f"precision is {precision!r}; it must be one of {', '.join(get_args(Precision))}"
+        )
+    return precision
+
+
+def autocast(device: torch.device, precision: Precision) -> AbstractContextManager[object]:
+    """Where torch computes in the bits of a mixed precision; nothing changes for "32-true"."""
+    if precision == "32-true":
+        return nullcontext()
+    return torch.autocast(device.type, _AUTOCAST[precision])
 
 
 def device_name(name: str) -> str:

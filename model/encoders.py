@@ -8,6 +8,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from model import _torchvision  # noqa: F401  before timm: see there
+from model.devices import Precision, autocast
 from model.errors import ConfigError, WeightsError
 
 import timm  # isort: skip
@@ -39,6 +40,8 @@ class Encoder(nn.Module):
         C, the channels of the feature map.
     feature_size : (height, width)
         H and W of the feature map.
+    precision : {"32-true", "16-mixed", "bf16-mixed"}
+        In which the backbone computes; "32-true" leaves it to an autocast around it, if any.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class Encoder(nn.Module):
         weights: str | Path = "imagenet",
     ) -> None:
         super().__init__()
+        self.precision: Precision = "32-true"
         options, stage = _find_stage(name, image_size, stride)
         self.backbone = _create(name, {**options, "out_indices": (stage,)}, weights)
         # Some backbones give [B, H, W, C].
@@ -83,7 +87,8 @@ class Encoder(nn.Module):
         features : float [B, C, H, W]
             In float32 at least: where the backbone computes in fewer bits, what follows does not.
         """
-        features = self.backbone(images)[-1]
+        with autocast(images.device, self.precision):
+            features = self.backbone(images)[-1]
         features = features.to(torch.promote_types(features.dtype, torch.float32))
         return features.permute(0, 3, 1, 2) if self.channels_last else features
 

@@ -18,6 +18,7 @@ from torch.utils.data import DataLoader, Subset
 
 from model.config import check_workers
 from model.data import BadSamples, PoseDataset, collate, denormalise
+from model.devices import Precision
 from model.drawing import draw_errors, draw_estimate
 from model.errors import ConfigError, RunError
 from model.localizer import Estimate, Localizer
@@ -86,10 +87,12 @@ class Evaluation:
     def report(self) -> str:
         """The figures as a few lines of text."""
         errors, floor = self.errors.summary(), self.floor.summary()
+        precision = self.settings["precision"]
         lines = [
             f"{len(self.names):,} samples of {self.settings['data']} {self.settings['split']} "
             f"{self.settings['part']}, candidates {self.settings['grid']}, "
-            f"refine {self.settings['refine']}",
+            f"refine {self.settings['refine']}"
+            + ("" if precision == "32-true" else f", encoders {precision}"),
             "           mean      median    floor of the grid (mean, median)",
         ]
         for kind, unit in (("place", "m"), ("heading", "deg")):
@@ -152,6 +155,7 @@ def evaluate(
     workers: int | None = None,
     cache: str | Path | None = None,
     refine: Refine = DEFAULT,
+    precision: Precision = "32-true",
     progress: Progress | None = None,
 ) -> tuple[Evaluation, Path]:
     """Evaluate a run and write its results.
@@ -187,6 +191,8 @@ def evaluate(
         The folder of banks.
     refine : {"none", "mean", "fine", "continuous"}
         How estimates are refined (`model.refinement`).
+    precision : {"32-true", "16-mixed", "bf16-mixed"}
+        In which the encoders compute, as for `Localizer.load`.
     progress : callable, optional
         Called with (samples done, samples in all).
 
@@ -210,7 +216,14 @@ def evaluate(
     if workers is not None:
         check_workers(workers)
     localizer = Localizer.load(
-        run, bank, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine=refine
+        run,
+        bank,
+        grid=grid,
+        checkpoint=checkpoint,
+        device=device,
+        cache=cache,
+        refine=refine,
+        precision=precision,
     )
     config = localizer.config
     split = split or config.split
@@ -218,6 +231,8 @@ def evaluate(
     name = f"{split}_{part}_{localizer.grid}_{checkpoint}"
     if refine != "none":
         name += f"_{refine}"
+    if precision != "32-true":
+        name += f"_{precision}"
     if limit is not None:
         name += f"_{limit}"
     chosen = Subset(dataset, spread(len(dataset), limit))
@@ -238,6 +253,7 @@ def evaluate(
         "place_prior": config.place_prior,
         "seed": config.seed,
         "refine": refine,
+        "precision": precision,
         "temperature": localizer.temperature,
         "calibrated": localizer.calibrated,
     }

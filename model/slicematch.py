@@ -5,6 +5,7 @@ from pathlib import Path
 from torch import Tensor, nn
 
 from model.aggregation import AerialAttention, GroundAggregator
+from model.devices import check_precision
 from model.encoders import Encoder
 from model.errors import ConfigError
 from model.scoring import Candidates, score_candidates
@@ -68,6 +69,18 @@ class SliceMatch(nn.Module):
     def forward(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
         """Images [B, 3, height, width] and [B, 3, A, A] to scores [B, K] of K candidates."""
         return self.score(self.encode_ground(ground), self.encode_aerial(aerial), candidates)
+
+    def encode_in(self, precision: str) -> "SliceMatch":
+        """Have both encoders compute in a precision of `model.devices`; returns the model.
+
+        Raises
+        ------
+        ConfigError
+            If there is none of that name.
+        """
+        for encoder in (self.ground_encoder, self.aerial_encoder):
+            encoder.precision = check_precision(precision)
+        return self
 
     def encode_ground(self, images: Tensor) -> Tensor:
         """Ground images [B, 3, height, width] to unit descriptors d_g^n [B, N, C]."""

@@ -30,9 +30,16 @@ def test_the_stages_are_timed_apart(benchmark):
     found = json.loads(benchmark(*SMALL, "--batch-size", "3", "--json").output)
     assert (found["poses"], found["distinct_masks"]) == (48, 48)
     assert (found["batch_size"], found["device"]) == (3, "cpu")
+    assert found["precision"] == "32-true"
     stages = [found[f"{stage}_s"] for stage in ("encode", "aggregate", "score")]
     assert min(stages) > 0
     assert found["frames_per_second"] == pytest.approx(3 / sum(stages))
+
+
+def test_encoders_in_fewer_bits(benchmark):
+    text = benchmark(*SMALL, "--precision", "bf16-mixed").output
+    assert "batches of 1, encoders bf16-mixed)" in text
+    assert "Invalid value for '--precision'" in benchmark("--precision", "8-mixed").output
 
 
 def test_a_pinhole_camera_and_a_list_of_stages(benchmark):
@@ -43,9 +50,9 @@ def test_a_pinhole_camera_and_a_list_of_stages(benchmark):
 
 
 def test_the_report_reads_as_the_figures():
-    report = Timings(0.4, 0.1, 1.5, 28224, 28224, 2, "cuda:0", 4).report()
+    report = Timings(0.4, 0.1, 1.5, 28224, 28224, 2, "cuda:0", "bf16-mixed", 4).report()
     assert "1500.0 ms  28,224 poses" in report
-    assert report.endswith("1.00 frames a second (cuda:0, batches of 2)")
+    assert report.endswith("1.00 frames a second (cuda:0, batches of 2, encoders bf16-mixed)")
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,21 @@ def test_pictures_that_cannot_be(localizer, images):
             localizer.localize(empty, images[1])
 
 
+@pytest.mark.parametrize("precision", ["16-mixed", "bf16-mixed"])
+def test_encoders_in_fewer_bits(run, cache, localizer, images, precision):
+    mixed = Localizer.load(run, cache=cache, device="cpu", precision=precision)
+    whole, rough = (each.encode_aerial(images[1]).features for each in (localizer, mixed))
+    assert rough.dtype == torch.float32
+    assert 0 < (rough - whole).norm() / whole.norm() < 0.02
+    scores = mixed.localize(*images).scores
+    np.testing.assert_allclose(scores, localizer.localize(*images).scores, atol=0.02)
+
+
+def test_a_precision_that_there_is_not(run, cache):
+    with pytest.raises(ConfigError, match="precision is '8-mixed'; it must be one of 32-true, 16-"):
+        Localizer.load(run, cache=cache, device="cpu", precision="8-mixed")
+
+
 @pytest.mark.parametrize("refine", ["fine", "continuous"])
 def test_a_refined_estimate_scores_no_less(localizer, images, refine):
     grid = localizer.localize(*images, refine="none")
@@ -394,6 +409,13 @@ def test_a_refined_evaluation_is_what_localising_gives(run, cache, vigor):
         metres = 0.1 * 0.111262 * 640
         close = sample["error_place_m"] <= 1.5 / 4 * 10 * metres
         assert sample["near"] == (close and sample["error_heading_deg"] <= 1.5 * 45)
+
+
+def test_an_evaluation_says_in_which_precision_it_was(run, cache):
+    evaluation, folder = evaluate(run, limit=2, cache=cache, device="cpu", precision="bf16-mixed")
+    assert folder.name == "same-area_test_4x5x8_best_mean_bf16-mixed_2"
+    assert json.loads((folder / "result.json").read_text())["precision"] == "bf16-mixed"
+    assert "refine mean, encoders bf16-mixed" in evaluation.report()
 
 
 def test_an_evaluation_of_some_samples_takes_them_from_all_over(run, cache):
