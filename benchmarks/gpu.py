@@ -55,15 +55,13 @@ def _against_plain(folder: str) -> Figure:
         candidates = Candidates.from_bank(bank, "cuda")
     pair = [x.cuda() for x in random_pair()]
     device = torch.device("cuda")
-    kernel, expected = median_seconds(
-        lambda: score_candidates(*pair, candidates), RUNS, torch.device("cuda")
-    )
+    kernel, expected = median_seconds(lambda: score_candidates(*pair, candidates), RUNS, device)
     seconds = {}
     for values in (1 << 22, 1 << 24, 1 << 26):
         seconds[values], scores = median_seconds(
             lambda values=values: score_candidates(*pair, candidates, values),
             RUNS,
-            torch.device("cuda"),
+            device,
         )
         torch.testing.assert_close(scores, expected, rtol=1e-4, atol=1e-6)
     plain = ", ".join(f"{s * 1e3:.2f} ms in blocks of {v:,}" for v, s in seconds.items())
