@@ -1,5 +1,6 @@
 """Scoring against the encoders, and against other ways to the same scores."""
 
+import copy
 import json
 import statistics
 import subprocess
@@ -57,6 +58,7 @@ def random_pair() -> tuple[Tensor, Tensor, Tensor]:
 
 def _against_peers(model: SliceMatch, bank: Path) -> list[Figure]:
     candidates = _candidates(bank)
+    model = copy.deepcopy(model).for_inference()
     pair = random_pair()
     images = torch.randn(1, 3, 320, 640), torch.randn(1, 3, 512, 512)
     rows = _csr_rows(bank)

@@ -328,7 +328,7 @@ class Localizer:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
         folder = RunFolder(Path(run))
         config, model = folder.load_model(checkpoint)
-        model.encode_in(precision)
+        model.for_inference(precision)
         fitted = folder.load_calibration(config)
         chosen = choose_device(device)
         if bank is None:
