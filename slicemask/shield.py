@@ -11,7 +11,8 @@ wait until they are done.
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
 
@@ -35,7 +36,7 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
     """Give what the work gives, done on a thread of its own.
 
     An exception that strikes this thread meanwhile, as Ctrl-C or a signal's handler does, is raised
-    once the work has ended.
+    once the work has ended; signals that follow it do nothing.
 
     Parameters
     ----------
@@ -70,14 +71,36 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
             pass
     except BaseException:
         stopping = True
-        if begin.locked():
-            begin.release()
-        if not results and not errors:
-            ended.acquire()
+        with _deaf():
+            if begin.locked():
+                begin.release()
+            if not results and not errors:
+                ended.acquire()
         raise
     for error in errors:
         raise error
     return results[0]
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Have signals do nothing: another Ctrl-C would leave the work alone while it stops.
+
+    They get a handler, for an ignored signal would be ignored by processes started here, too.
+    """
+    if threading.current_thread() is not threading.main_thread():  # signals strike that one only
+        yield
+        return
+    before = {
+        number: signal.signal(number, lambda number, frame: None)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            # None: one that was not set from Python, and cannot be set again from here.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def exit_on_signals() -> None:

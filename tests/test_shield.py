@@ -12,6 +12,12 @@ import pytest
 from slicemask.shield import shielded
 
 
+@pytest.fixture(autouse=True)
+def plain_interrupts():
+    """Commands that ran in this process have left their own handler."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def test_the_work_s_result_and_its_error_come_out():
     assert shielded(lambda check: 5) == 5
     with pytest.raises(ZeroDivisionError):
@@ -34,6 +40,27 @@ def test_an_interrupt_is_raised_when_the_work_has_stopped():
     with pytest.raises(KeyboardInterrupt):
         shielded(work)
     assert ended == [True]
+
+
+def test_more_interrupts_do_not_end_the_wait():
+    ended = []
+
+    def work(check):
+        try:
+            while True:
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(0.02)
+                check()
+        finally:
+            for _ in range(10):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(0.02)
+            ended.append(True)
+
+    for _ in range(5):
+        with pytest.raises(KeyboardInterrupt):
+            shielded(work)
+    assert ended == [True] * 5
 
 
 def test_an_interrupt_that_comes_too_late_is_raised_all_the_same():
