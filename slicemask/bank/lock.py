@@ -1,5 +1,6 @@
 """One builder of a bank at a time."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,6 +8,8 @@ from pathlib import Path
 import filelock
 
 from slicemask.shield import Check
+
+log = logging.getLogger(__name__)
 
 # How often a builder that waits looks whether it is to stop.
 _POLL_S = 0.1
@@ -25,13 +28,18 @@ def only_builder(target: Path, check: Check) -> Iterator[None]:
         If the lock file cannot be made.
     """
     file = target.with_name(f".{target.name}.lock")
+    # Where it cannot be made, filelock may take that for a passing fault, and try for ever.
+    file.touch()
     lock = filelock.FileLock(file)
+    waited = False
     while not lock.is_locked:
-        check()
         try:
             lock.acquire(timeout=_POLL_S)
         except filelock.Timeout:
-            continue
+            if not waited:
+                log.warning("%s: waiting until another builder of it ends", target)
+            waited = True
+            check()
     try:
         yield
     finally:

@@ -7,7 +7,10 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import filelock
 import numpy as np
 import pytest
 
@@ -204,6 +207,27 @@ def test_of_two_builders_one_builds_and_the_other_reuses(tmp_path, stagger):
     assert files_in(tmp_path) == ["bank.h5"]
     alone = build_bank(PoseGrid.parse("11x11x32"), out=tmp_path / "alone.h5").path
     assert out.read_bytes() == alone.read_bytes()
+
+
+def test_a_builder_that_waits_says_so(tmp_path, caplog):
+    out = tmp_path / "bank.h5"
+    lock = filelock.FileLock(tmp_path / ".bank.h5.lock")
+    with lock, ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(build_bank, GRID, FRUSTUM, 6, out=out)
+        until = time.monotonic() + 30
+        while not caplog.messages and time.monotonic() < until:
+            time.sleep(0.01)
+        assert not waiting.done()
+        lock.release()
+        assert not waiting.result(timeout=30).reused
+    assert caplog.messages == [f"{out}: waiting until another builder of it ends"]
+    assert files_in(tmp_path) == ["bank.h5"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="a folder where no file can be made")
+def test_a_folder_that_takes_no_files_is_not_waited_for():
+    with pytest.raises(BankError, match=r"/proc/x.h5: cannot be written: No such file"):
+        build_bank(GRID, FRUSTUM, 6, out="/proc/x.h5")
 
 
 def test_leftovers_of_a_killed_build_are_taken_over(tmp_path):
