@@ -532,7 +532,7 @@ _precision = click.option(
     type=click.Choice(["32-true", "16-mixed", "bf16-mixed"]),
     default="32-true",
     show_default=True,
-    help="Of the encoders; what follows them is float32.",
+    help="Of the encoders; what follows them is float32. 16-mixed: GPUs only.",
 )
 _root = click.option("--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]")
 _workers = click.option(

@@ -58,7 +58,7 @@ def random_pair() -> tuple[Tensor, Tensor, Tensor]:
 
 def _against_peers(model: SliceMatch, bank: Path) -> list[Figure]:
     candidates = _candidates(bank)
-    model = copy.deepcopy(model).for_inference()
+    model = copy.deepcopy(model).for_inference(torch.device("cpu"))
     pair = random_pair()
     images = torch.randn(1, 3, 320, 640), torch.randn(1, 3, 512, 512)
     rows = _csr_rows(bank)

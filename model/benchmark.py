@@ -172,7 +172,7 @@ def time_settings(
     chosen = choose_device(device)
     frustum, poses = Frustum(hfov_deg, slices, projection), PoseGrid.parse(grid)
     model = SliceMatch(encoder, weights, ground_size, aerial_size, stride, slices)
-    model.for_inference(precision)
+    model.for_inference(chosen, precision)
     bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path
     candidates, _ = load_candidates(bank, frustum, model.cells)
     return time_stages(model, candidates, chosen, ground_size, aerial_size, batch_size, runs)

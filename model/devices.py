@@ -13,11 +13,22 @@ Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
 _AUTOCAST = {"16-mixed": torch.float16, "bf16-mixed": torch.bfloat16}
 
 
-def check_precision(precision: str) -> Precision:
-    """Return the name of a precision, or raise ConfigError if there is none of that name."""
+def check_precision(precision: str, device: torch.device) -> Precision:
+    """Return the name of a precision.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of that name, or the device takes for ever to compute in it.
+    """
     if precision not in get_args(Precision):
         raise ConfigError(
             f"precision is {precision!r}; it must be one of {', '.join(get_args(Precision))}"
+        )
+    if precision == "16-mixed" and device.type == "cpu":
+        raise ConfigError(
+            "precision '16-mixed' is for GPUs, a CPU takes hundreds of times longer; choose "
+            "bf16-mixed"
         )
     return precision
 

@@ -311,8 +311,9 @@ class Localizer:
             the candidates around it, by their probabilities; coarse to fine; or that and then by
             gradients (`model.refinement`, `model.uncertainty.mean_poses`).
         precision : {"32-true", "16-mixed", "bf16-mixed"}
-            In which the encoders compute; all else is float32. With fewer bits they are faster on a
-            GPU, and their features good to two or three digits.
+            In which the encoders compute; all else is float32. With fewer bits they are faster on
+            GPUs and new CPUs, and their features good to two or three digits; "16-mixed" is for
+            GPUs only.
 
         Raises
         ------
@@ -328,15 +329,15 @@ class Localizer:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
         folder = RunFolder(Path(run))
         config, model = folder.load_model(checkpoint)
-        model.for_inference(precision)
         fitted = folder.load_calibration(config)
         chosen = choose_device(device)
+        model.for_inference(chosen, precision)
         if bank is None:
             poses = config.grid("test_grid", grid)
             bank = build_bank(poses, config.frustum(), model.cells, cache=cache).path
         candidates, poses = load_candidates(bank, config.frustum(), model.cells)
         return cls(
-            model.to(chosen),
+            model,
             candidates.to(chosen),
             poses,
             config,

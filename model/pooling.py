@@ -35,6 +35,8 @@ Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 _PADDED = 8
 # Values in one block: what a CPU's cache holds; what may keep a GPU busy (not measured).
 _VALUES_CPU, _VALUES_GPU = 1 << 20, 1 << 24
+# For more slices the kernel takes more shared memory than most GPUs have.
+_KERNEL_SLICES = 1024
 # Values that a pair may keep for the gradients. Where there are more, its blocks are pooled again.
 _VALUES_KEPT = 1 << 23
 
@@ -67,7 +69,7 @@ class PoolingPlan:
 
     @cached_property
     def gathered(self) -> list[tuple[Tensor, Tensor]]:
-        """Padded cells and fractions of `many`, int32 and float32 [R, m] for each of the widths."""
+        """Padded cells and fractions of `many`, integer and float32 [R, m], for each width."""
         starts, cells, fractions = self.masks
         parts = []
         counts = [count for _, count in self.widths]
@@ -162,7 +164,7 @@ def pool_shares(
     """
     dots = attention * (features @ ground.T)  # z'_a^n . d_g^n of each cell
     if values_at_once is None:
-        if not dots.requires_grad and _has_kernel(features):
+        if not dots.requires_grad and _has_kernel(features, dots.shape[1]):
             from model.pooling_triton import pool_shares_fused
 
             return pool_shares_fused(plan, features, attention, dots)
@@ -180,12 +182,13 @@ def pool_shares(
     return shares
 
 
-def _has_kernel(features: Tensor) -> bool:
+def _has_kernel(features: Tensor, slices: int) -> bool:
     """Whether `model.pooling_triton` takes these: float32, on a GPU of NVIDIA's that has TF32."""
     return (
         features.is_cuda
         and features.dtype == torch.float32
         and features.numel() < 2**31
+        and slices <= _KERNEL_SLICES
         and torch.version.hip is None
         and torch.cuda.get_device_capability(features.device) >= (8, 0)
         and _builds(features.device)
@@ -194,16 +197,23 @@ def _has_kernel(features: Tensor) -> bool:
 
 @cache
 def _builds(device: torch.device) -> bool:
-    """Whether Triton is here, and builds what it is given; pools a mask of one cell to see."""
+    """Whether Triton is here, and builds the kernel; pools two masks of one cell to see.
+
+    One is used by a single slice number of 16, the other by all the others: both ways to pool.
+    """
     if find_spec("triton") is None:
         return False
-    one = torch.ones(1, 1, device=device)
-    mask = torch.tensor([0, 1], device=device), torch.zeros(1, device=device).int(), one[0]
-    plan = plan_pooling(torch.zeros(1, 1, device=device).long(), mask)
+    cell = torch.ones(2, device=device)
+    index = (torch.arange(16, device=device) > 0).long()[None]
+    starts = torch.arange(3, dtype=torch.int32, device=device)
+    plan = plan_pooling(index, (starts, torch.zeros_like(starts[1:]), cell))
+    ones = torch.ones(1, 16, device=device)
     try:
         from model.pooling_triton import pool_shares_fused
 
-        pool_shares_fused(plan, one, one, one)
+        pool_shares_fused(plan, ones, ones, ones)
+    except torch.OutOfMemoryError:
+        raise
     except Exception as error:  # whatever Triton, a C compiler or the assembler may raise
         log.warning(
             "scoring on %s does without its kernel, and takes longer: Triton cannot build it (%s); "

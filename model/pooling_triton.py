@@ -39,6 +39,8 @@ def pool_shares_fused(
     dots : float32 [L * L, N]
         z'_a^n . d_g^n of each cell.
     """
+    # The kernel knows of no strides.
+    features, attention, dots = (x.contiguous() for x in (features, attention, dots))
     shares = features.new_empty(plan.shares, 2)
     slices = dots.shape[1]
     _launch(plan.many, plan.masks, features, attention, dots, shares, slices)

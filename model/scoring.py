@@ -59,7 +59,8 @@ class Candidates:
         csr, poses = bank.csr(), np.asarray(bank.poses)
         grid = bank.spec.grid
         # 32-bit indices: half the memory, and faster products, where the count allows them.
-        integer = np.int32 if csr.nnz < 2**31 else np.int64
+        # A little less than they reach, for loops that step past the end.
+        integer = np.int32 if csr.nnz < 2**31 - 2**10 else np.int64
         masks = (csr.indptr.astype(integer), csr.indices.astype(integer), csr.data)
         return cls(
             poses=poses,

@@ -71,25 +71,27 @@ class SliceMatch(nn.Module):
         """Images [B, 3, height, width] and [B, 3, A, A] to scores [B, K] of K candidates."""
         return self.score(self.encode_ground(ground), self.encode_aerial(aerial), candidates)
 
-    def for_inference(self, precision: Precision = "32-true") -> "SliceMatch":
-        """Set the model to evaluate, its encoders laid out to be fast; returns the model.
+    def for_inference(self, device: torch.device, precision: Precision = "32-true") -> "SliceMatch":
+        """Set the model to evaluate on a device, its encoders laid out to be fast; returns it.
 
         Parameters
         ----------
+        device : torch.device
+            To which it moves.
         precision : {"32-true", "16-mixed", "bf16-mixed"}
             In which the encoders compute.
 
         Raises
         ------
         ConfigError
-            If there is no such precision.
+            If there is no such precision, or not on that device.
         """
         for encoder in (self.ground_encoder, self.aerial_encoder):
-            encoder.precision = check_precision(precision)
+            encoder.precision = check_precision(precision, device)
             # Convolutions with channels last take less time, VGG16's three quarters on a CPU.
             # Not so in training: the order of its sums, and so its results, would change.
             encoder.to(memory_format=torch.channels_last)
-        return self.eval()
+        return self.eval().to(device)
 
     def encode_ground(self, images: Tensor) -> Tensor:
         """Ground images [B, 3, height, width] to unit descriptors d_g^n [B, N, C]."""

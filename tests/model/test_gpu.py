@@ -74,7 +74,7 @@ def test_scores_by_the_kernel(frustum, pair, tmp_path, cancelled):
     ground, features, _ = pair
     mean = torch.einsum("ij,bcij->bc", mask, features) / mask.sum()
     pair = ground, features - cancelled * mean[..., None, None], torch.ones(1, 16, CELLS, CELLS)
-    assert _has_kernel(features.cuda())
+    assert _has_kernel(features.cuda(), 16)
     expected = score_candidates(*(x.double() for x in pair), candidates)
     found = score_candidates(*(x.cuda() for x in pair), candidates.to("cuda"))
     torch.testing.assert_close(found.cpu().double(), expected, rtol=1e-4, atol=1e-6)

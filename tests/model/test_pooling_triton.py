@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from model.aggregation import unit
-from model.pooling import pool_shares
+from model.pooling import _builds, pool_shares
 from model.scoring import Candidates, score_candidates
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
@@ -24,6 +24,14 @@ def pool_shares_fused():
     from model.pooling_triton import pool_shares_fused
 
     return pool_shares_fused
+
+
+@pytest.fixture
+def untried():
+    """Nothing is known of the kernel, before the test and after it."""
+    _builds.cache_clear()
+    yield
+    _builds.cache_clear()
 
 
 def make(tmp_path, grid, frustum, channels):
@@ -54,7 +62,11 @@ def test_shares_are_those_of_the_plain_path(
     candidates, (ground, features, attention) = make(tmp_path, grid, frustum, channels)
     plan = candidates.within(heading_prior_deg=(0.0, half_width)).pooling
     expected = pool_shares(plan, ground, features, attention, values_at_once=1 << 20)
-    found = pool_shares_fused(plan, features, attention, attention * (features @ ground.T))
+    dots = attention * (features @ ground.T)
+    found = pool_shares_fused(plan, features, attention, dots)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
+    turned = (x.T.contiguous().T for x in (features, attention, dots))
+    found = pool_shares_fused(plan, *turned)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
 
 
@@ -79,7 +91,7 @@ def test_masks_and_descriptors_of_nothing_share_nothing(pool_shares_fused, tmp_p
 
 
 def test_scores_take_the_kernel_where_it_can_be_had(
-    pool_shares_fused, tmp_path, monkeypatch, caplog
+    pool_shares_fused, untried, tmp_path, monkeypatch, caplog
 ):
     from model import pooling, pooling_triton
 
@@ -88,17 +100,21 @@ def test_scores_take_the_kernel_where_it_can_be_had(
     used = []
 
     def watched(*arguments):
-        used.append(len(arguments[0].many))
+        plan = arguments[0]
+        used.append((len(plan.many), sum(len(rows) for rows, _ in plan.single)))
         return pool_shares_fused(*arguments)
 
     plain = score_candidates(*inputs, candidates, values_at_once=1 << 20)
-    monkeypatch.setattr(pooling, "_has_kernel", lambda features: pooling._builds(features.device))
-    pooling._builds.cache_clear()
+    monkeypatch.setattr(
+        pooling, "_has_kernel", lambda features, _: pooling._builds(features.device)
+    )
     monkeypatch.setattr(pooling_triton, "pool_shares_fused", watched)
     found = score_candidates(*inputs, candidates)
     score_candidates(inputs[0].clone().requires_grad_(), *inputs[1:], candidates)
     torch.testing.assert_close(found, plain, rtol=1e-4, atol=1e-6)
-    assert used == [0, len(candidates.pooling.many)]  # a trial; and once, without gradients
+    # A trial of both ways to pool; and once, without gradients.
+    plan = candidates.pooling
+    assert used == [(1, 1), (len(plan.many), sum(len(rows) for rows, _ in plan.single))]
 
     def fails(*arguments):
         raise RuntimeError("Failed to find\n C compiler.")
@@ -110,11 +126,23 @@ def test_scores_take_the_kernel_where_it_can_be_had(
     (said,) = caplog.messages
     assert f"scoring on {DEVICE}" in said
     assert "(Failed to find C compiler.)" in said
+
+    def is_full(*arguments):
+        raise torch.OutOfMemoryError("CUDA out of memory.")
+
+    # Says nothing of the kernel.
     pooling._builds.cache_clear()
+    monkeypatch.setattr(pooling_triton, "pool_shares_fused", is_full)
+    with pytest.raises(torch.OutOfMemoryError):
+        score_candidates(*inputs, candidates)
+    monkeypatch.setattr(pooling_triton, "pool_shares_fused", watched)
+    score_candidates(*inputs, candidates)
+    assert len(used) == 4
 
 
 COMPILE = """
 import sys, triton
+slices, aligned = int(sys.argv[2]), sys.argv[3] == "aligned"
 from triton.backends.compiler import GPUTarget
 from model import pooling_triton as kernel
 
@@ -122,23 +150,26 @@ types = ["*i64", "*i32", "*i32", *["*fp32"] * 5, "i32", "i32", "i32", *["constex
 source = triton.compiler.ASTSource(
     kernel._pool,
     dict(zip(kernel._pool.arg_names, types, strict=True)),
-    {"SLICES": int(sys.argv[2]), "CHANNELS": kernel._CHANNELS, "CELLS": kernel._CELLS},
-    {(i,): [["tt.divisibility", 16]] for i in range(11)},
+    {"SLICES": slices, "CHANNELS": min(256, kernel._SUMS // slices), "CELLS": kernel._CELLS},
+    {(i,): [["tt.divisibility", 16]] for i in range(11)} if aligned else {},
 )
 options = {"num_warps": kernel._WARPS, "num_stages": kernel._STAGES}
 target = GPUTarget("cuda", int(sys.argv[1]), 32)
 compiled = triton.compile(source, target=target, options=options)
 assert compiled.asm["cubin"]
-print("mma.sync" in compiled.asm["ptx"], compiled.metadata.shared)
+ptx = compiled.asm["ptx"]
+print("mma.sync" in ptx or "wgmma" in ptx, compiled.metadata.shared)
 """
 
 
-@pytest.mark.parametrize(("slices", "on_tensor_cores"), [(16, True), (1, False)])
+@pytest.mark.parametrize(
+    ("slices", "pointers"), [(16, "aligned"), (64, "aligned"), (1, "aligned"), (1, "not aligned")]
+)
 @pytest.mark.parametrize("capability", [80, 90, 120])
-def test_it_compiles_to_machine_code(tmp_path, capability, slices, on_tensor_cores):
+def test_it_compiles_to_machine_code(tmp_path, capability, slices, pointers):
     """For A100, H100 and RTX 50; no GPU is needed for that."""
     ran = subprocess.run(
-        [sys.executable, "-c", COMPILE, str(capability), str(slices)],
+        [sys.executable, "-c", COMPILE, str(capability), str(slices), pointers],
         env={**os.environ, "TRITON_CACHE_DIR": str(tmp_path), "TRITON_INTERPRET": "0"},
         cwd=Path(__file__).parents[2],
         capture_output=True,
@@ -146,5 +177,5 @@ def test_it_compiles_to_machine_code(tmp_path, capability, slices, on_tensor_cor
         check=True,
     )
     products, shared_bytes = ran.stdout.split()
-    assert products == str(on_tensor_cores)
+    assert products == str(slices > 1)  # on tensor cores
     assert int(shared_bytes) <= 99 * 1024  # what each of them has for a block
