@@ -375,7 +375,12 @@ def verify(
 @_frustum_options
 @_cells
 @click.option("--aerial", metavar="IMAGE", help="Aerial tile to draw on.")
-@click.option("--out", metavar="FILE", help="PNG, SVG or PDF (GIF with --animate), by its suffix.")
+@click.option(
+    "--out",
+    metavar="FILE",
+    help="PNG, SVG or PDF (GIF with --animate), by its suffix.  "
+    "[default: named after what is drawn, in the current folder]",
+)
 @click.option(
     "--animate", type=click.Choice(["heading"]), help="Write a GIF that turns the camera."
 )
@@ -603,7 +608,8 @@ def train(
     epochs = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     content = {"run": str(run), "epochs": len(epochs), "last_epoch": epochs[-1]}
     figures = ", ".join(f"{name} {value:.4g}" for name, value in epochs[-1].items() if "/" in name)
-    _print(as_json, content, f"{run}: {len(epochs)} epochs trained ({figures})")
+    count = "1 epoch" if len(epochs) == 1 else f"{len(epochs)} epochs"
+    _print(as_json, content, f"{run}: {count} trained; the last one: {figures}")
 
 
 @main.command()
@@ -656,7 +662,8 @@ def calibrate(run: str, as_json: bool, **options: Any) -> None:
         content = calibrate(run, progress=progress, **options)
     text = (
         "temperature {temperature:.4g}: mean negative log-likelihood {nll:.3f} on {samples} "
-        "samples, {nll_of_tau:.3f} with the loss's tau"
+        "samples, {nll_of_tau:.3f} with the loss's tau; for answers among {grid} by the "
+        "{checkpoint} weights, others count as uncalibrated"
     )
     _print(as_json, content, text.format(**content))
 
@@ -722,11 +729,14 @@ def predict(
     estimate = localizer.localize(
         ground, aerial, heading_prior, place_prior, metres_per_pixel=metres_per_pixel
     )
-    content = estimate.as_dict(metres_per_pixel, centre) | {"refine": localizer.refine}
+    content = estimate.as_dict(metres_per_pixel, centre) | {
+        "refine": localizer.refine,
+        "calibrated": localizer.calibrated,
+    }
     if geojson is not None:
         from model.geo import feature_collection, save_geojson
 
-        save_geojson(feature_collection(estimate, centre, metres_per_pixel), geojson)
+        save_geojson(feature_collection(estimate, metres_per_pixel, centre), geojson)
         content["geojson"] = geojson
     if out is not None:
         from model.data import read_image
@@ -746,7 +756,11 @@ def predict(
         content["picture"] = out
     text = "u {u:.4f}, v {v:.4f}, heading {heading_deg:.2f} degrees, score {score:.4f}"
     if metres_per_pixel is not None:
-        text += "; {east_m:.2f} m east and {north_m:.2f} m north of the centre"
+        east_m, north_m = content["east_m"], content["north_m"]
+        text += (
+            f"; {abs(east_m):.2f} m {'west' if east_m < 0 else 'east'} and "
+            f"{abs(north_m):.2f} m {'south' if north_m < 0 else 'north'} of the centre"
+        )
     if centre is not None:
         text += "; latitude {latitude:.7f}, longitude {longitude:.7f}"
     lines = [text.format(**content), _certainty(estimate, metres_per_pixel, localizer.calibrated)]

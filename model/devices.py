@@ -66,9 +66,8 @@ def choose_device(name: str) -> torch.device:
     ConfigError
         If there is no such device, or it cannot be used.
     """
-    name = device_name(name)
     try:
-        chosen = torch.device(name)
+        chosen = torch.device(device_name(name))
         torch.empty(0, device=chosen)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).strip().split("\n")[0]

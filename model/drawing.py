@@ -67,7 +67,8 @@ def draw_estimate(
         _draw_camera(axes, np.asarray(truth, dtype=np.float64), _TRUTH, "truth")
     _draw_camera(axes, np.asarray(pose, dtype=np.float64), _ESTIMATE, "estimate")
     axes.set(xlim=(0, 1), ylim=(1, 0), xticks=[], yticks=[])
-    axes.legend(loc="upper right", framealpha=0.85)
+    # Below, where it hides no arrow.
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 0), ncols=2, frameon=False, borderaxespad=0.2)
     axes.set_title(title, fontsize="medium", wrap=True, pad=12)
     return figure
 

@@ -182,7 +182,7 @@ def _read_weights(path: Path) -> dict[str, Tensor]:
         raise WeightsError(
             f"{path}: there is no such file; weights are 'imagenet', 'none' or a file"
         ) from None
-    except (OSError, SafetensorError, RuntimeError, ValueError, EOFError, KeyError) as error:
+    except (OSError, SafetensorError, RuntimeError, ValueError, EOFError) as error:
         raise WeightsError(f"{path}: cannot be read as weights ({_first_line(error)})") from error
     except Exception as error:  # pickle.UnpicklingError and what a hostile pickle provokes
         raise WeightsError(

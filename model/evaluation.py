@@ -238,7 +238,10 @@ def evaluate(
     chosen = Subset(dataset, spread(len(dataset), limit))
     folder = Path(out) if out is not None else Path(run) / "evaluation" / name
     if (folder / "result.json").exists() and not overwrite:
-        raise RunError(f"{folder}: holds results already; overwrite them, or name another folder")
+        raise RunError(
+            f"{folder}: holds results already; replace them with --overwrite, or name another "
+            "folder with --out"
+        )
     check_folder(folder, RunError)
     settings = {
         "run": str(run),

@@ -74,7 +74,7 @@ def check_centre(centre: tuple[float, float]) -> tuple[float, float]:
 
 
 def feature_collection(
-    estimate: "Estimate", centre: tuple[float, float], metres_per_pixel: float
+    estimate: "Estimate", metres_per_pixel: float, centre: tuple[float, float]
 ) -> dict[str, Any]:
     """An estimate as a GeoJSON FeatureCollection: its point, and its ellipse of uncertainty.
 
@@ -82,10 +82,10 @@ def feature_collection(
     ----------
     estimate : Estimate
         In a tile with north up.
-    centre : (latitude, longitude)
-        Of the tile, degrees.
     metres_per_pixel : float
         Of the tile as it was handed in.
+    centre : (latitude, longitude)
+        Of the tile, degrees.
 
     Returns
     -------

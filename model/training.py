@@ -95,7 +95,8 @@ def train(
     # The processes of further devices find the folder that the first one has made.
     if is_first_process() and not resume and run.path.exists() and any(run.path.iterdir()):
         raise RunError(
-            f"{run.path}: is not empty; resume the run that is there, or name another folder"
+            f"{run.path}: is not empty; go on with the run that is there by --resume, or name "
+            "another folder with --out"
         )
     lightning.seed_everything(config.seed, workers=True, verbose=False)
     training = config.dataset("train")
@@ -138,9 +139,20 @@ def train(
         # Of Lightning's own use of torch; the checkpoints folder of a resumed run is not empty.
         warnings.filterwarnings("ignore", message=".*isinstance.treespec, LeafSpec.")
         warnings.filterwarnings("ignore", message="Checkpoint directory .* exists")
-        trainer.fit(
-            module, datamodule=data, ckpt_path=last if resuming else None, weights_only=True
-        )
+        try:
+            trainer.fit(
+                module, datamodule=data, ckpt_path=last if resuming else None, weights_only=True
+            )
+        except SystemExit:  # Lightning's way to end on Ctrl-C, without a word
+            if trainer.is_global_zero:
+                log.warning(
+                    "%s: stopped, %s",
+                    run.path,
+                    "go on after the last epoch that ended by --resume"
+                    if last.is_file()
+                    else "before an epoch had ended",
+                )
+            raise
     if trainer.is_global_zero:
         if message := bad_samples.report():
             log.warning(message)

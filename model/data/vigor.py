@@ -117,11 +117,15 @@ def read_labels(path: str | Path) -> VigorLabels:
 def _hint(path: Path) -> str:
     """Say how to come by a label file that is missing."""
     there = [city for city in METRES_PER_PIXEL if (path.parent.parent / city).is_dir()]
-    other = f"name only cities that are there ({', '.join(there)})" if there else "check the root"
+    other = (
+        f"name only cities that are there (--cities {','.join(there)})"
+        if there
+        else "check the root"
+    )
     if path.parent.parent.name == "splits__corrected":
         return (
-            f"put the corrected labels of SliceMatch there, {other}, or ask for "
-            'labels="original", which are up to 3 m wrong'
+            f"put the corrected labels of SliceMatch there, {other}, or ask for the original ones "
+            "(--labels original), which are up to 3 m wrong"
         )
     return other
 

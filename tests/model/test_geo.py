@@ -55,7 +55,7 @@ def check_ring(ring):
 
 
 def test_the_collection_is_geojson():
-    content = json.loads(json.dumps(feature_collection(estimate(), DELFT, 0.1), allow_nan=False))
+    content = json.loads(json.dumps(feature_collection(estimate(), 0.1, DELFT), allow_nan=False))
     assert set(content) == {"type", "features"}
     assert content["type"] == "FeatureCollection"
     point, area = content["features"]
@@ -80,7 +80,7 @@ def test_the_collection_is_geojson():
 
 def test_the_ellipse_holds_what_it_says():
     made = estimate()
-    _, area = feature_collection(made, DELFT, 0.1)["features"]
+    _, area = feature_collection(made, 0.1, DELFT)["features"]
     properties = area["properties"]
     side = 64.0
     variances = np.array([0.03, 0.02]) ** 2 + (1 / 41) ** 2 / 12
@@ -107,7 +107,7 @@ def test_the_ellipse_holds_what_it_says():
 
 
 def test_an_ellipse_across_the_antimeridian_is_cut_in_two():
-    _, area = feature_collection(estimate(0.5, 0.5), (10.0, 180.0), 0.1)["features"]
+    _, area = feature_collection(estimate(0.5, 0.5), 0.1, (10.0, 180.0))["features"]
     assert area["geometry"]["type"] == "MultiPolygon"
     parts = area["geometry"]["coordinates"]
     assert len(parts) == 2
@@ -120,5 +120,5 @@ def test_a_known_place_has_no_ellipse():
     known = Estimate(
         (Mode(np.array([0.5, 0.5, 0.0]), 1.0, 1.0),), np.zeros((1, 1, 1)), PoseGrid(1, 1, 1), 8, 0.1
     )
-    (point,) = feature_collection(known, DELFT, 0.1)["features"]
+    (point,) = feature_collection(known, 0.1, DELFT)["features"]
     np.testing.assert_allclose(point["geometry"]["coordinates"], DELFT[::-1])

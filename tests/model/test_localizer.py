@@ -515,7 +515,8 @@ def test_predict_writes_geojson_and_says_how_sure_it_is(slicemask, images, local
     content = json.loads(slicemask("predict", *options, "--json").stdout)
     expected = localizer.localize(*images, refine="continuous", metres_per_pixel=0.9)
     assert content == {
-        **expected.as_dict(0.9, (41.8, -87.6)), "refine": "continuous", "geojson": str(out),
+        **expected.as_dict(0.9, (41.8, -87.6)), "refine": "continuous", "calibrated": False,
+        "geojson": str(out),
     }  # fmt: skip
     point, area = json.loads(out.read_text())["features"]
     assert point["geometry"]["coordinates"] == [content["longitude"], content["latitude"]]

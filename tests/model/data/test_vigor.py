@@ -113,7 +113,7 @@ def test_corrected_labels_are_the_default_and_the_message_names_the_choice(
     )
     assert np.abs(corrected - original).max() > 1 / 640
     shutil.rmtree(tmp_path / "splits__corrected")
-    with pytest.raises(DatasetError, match='ask for labels="original", which are up to 3 m wrong'):
+    with pytest.raises(DatasetError, match=r"\(--labels original\), which are up to 3 m"):
         open_vigor(tmp_path, cities=("Chicago",))
 
 
@@ -193,7 +193,8 @@ def test_cities_are_chosen_among_those_of_the_split(make_vigor_tree, tmp_path):
     with pytest.raises(DatasetError, match="city is 'Boston'; it must be one of NewYork"):
         open_vigor(tmp_path, cities=("Boston",))
     with pytest.raises(
-        DatasetError, match=r"NewYork.*label file is missing; .* cities that are there \(Seattle\)"
+        DatasetError,
+        match=r"NewYork.*label file is missing; .* cities that are there \(--cities Seattle\)",
     ):
         open_vigor(tmp_path)
 
