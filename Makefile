@@ -13,7 +13,7 @@ help:
 	@echo "make test    run all tests"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   print the benchmark tables"
-	@echo "make clean   remove the environment and everything built"
+	@echo "make clean   remove the environment and the tools' caches; banks, data and runs stay"
 
 $(VENV)/.core: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "slicemask needs Python 3.11 or newer; name one with make PYTHON=...")'

@@ -39,7 +39,9 @@ def bank_path(
         folder = path.parent
         if path.is_dir():
             raise BankError(f"{path}: is a folder; name a file in it")
-        if not folder.is_dir() and (folder.exists() or folder != Path(DEFAULT)):
+        if folder.exists() and not folder.is_dir():
+            raise BankError(f"{folder}: is no folder; name another")
+        if not folder.exists() and folder != Path(DEFAULT):
             raise BankError(f"{folder}: there is no such folder; make it, or name another")
     except OSError as error:
         if isinstance(error, BankError):

@@ -66,14 +66,14 @@ def check_seal(path: Path) -> None:
         if file.tell() != size:
             raise BankFormatError(
                 f"{path}: is {'cut short' if file.tell() < size else 'altered'}: expected "
-                f"{size} bytes, found {file.tell()}; build it again with --force"
+                f"{size} bytes, found {file.tell()}; build it again with slicemask build --force"
             )
         file.seek(SEAL_BYTES)
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if digest != expected:
         raise BankFormatError(
             f"{path}: was altered after it was written: expected SHA-256 {expected[:12]}..., "
-            f"found {digest[:12]}...; build it again with --force"
+            f"found {digest[:12]}...; build it again with slicemask build --force"
         )
 
 
@@ -85,9 +85,9 @@ def _fault(block: bytes) -> str:
         if len(block) < SEAL_BYTES:
             return (
                 f"is cut short: expected a seal of {SEAL_BYTES} bytes, found {len(block)}; "
-                "build it again with --force"
+                "build it again with slicemask build --force"
             )
-        return "its seal (the first 512 bytes) was altered; build it again with --force"
+        return "its seal (first 512 bytes) was altered; build it again with slicemask build --force"
     if block.startswith(_HDF5_SIGNATURE):
         return "is an HDF5 file but not a slicemask bank: it has no seal in its first 512 bytes"
     return "is not a slicemask bank"
