@@ -508,7 +508,7 @@ SAYS = {
     "is cut short: expected {size} bytes, found 5000": lambda whole: whole[:5000],
     "is altered: expected {size} bytes, found {more}": lambda whole: whole + b"!",
     "was altered after it was written: expected SHA-256": lambda whole: whole[:-1] + b"!",
-    "its seal (the first 512 bytes) was altered": lambda whole: whole[:511] + b"!" + whole[512:],
+    "its seal (first 512 bytes) was altered": lambda whole: whole[:511] + b"!" + whole[512:],
     "is a bank of version 7, and this slicemask reads version 1": lambda whole: whole.replace(
         b"slicemask-bank 1\n", b"slicemask-bank 7\n"
     ),
