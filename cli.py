@@ -429,7 +429,7 @@ def visualize(
         plot.save_figure(plot.draw_pose(seen.masks, seen.pose, seen.frustum, aerial=tile), path)
     u, v, heading_deg = (float(value) for value in seen.pose)
     content = {"path": str(path), "pose": {"u": u, "v": v, "heading_deg": heading_deg}}
-    _print(as_json, content, f"{path}: u {u:.4g}, v {v:.4g}, heading {heading_deg:.4g} degrees")
+    _print(as_json, content, f"{path}: u {u:.4g}, v {v:.4g}, heading {heading_deg:.5g} degrees")
 
 
 def _check_model_installed() -> None:
@@ -450,7 +450,10 @@ class _Alpha(click.ParamType):
     name = "number|K"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        return value if str(value).upper() == "K" else click.FLOAT.convert(value, param, ctx)
+        try:
+            return value if str(value).upper() == "K" else float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither a number nor K", param, ctx)
 
 
 def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
