@@ -8,9 +8,11 @@ Imports cannot: many a library takes any exception for an optional part that is 
 wait until they are done.
 """
 
+import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -21,6 +23,10 @@ _AGAIN_S = 0.05
 # How long this thread waits for the work at a time. A signal that strikes between Python's last
 # look for signals and the wait is not seen before the wait is over.
 _WAIT_S = 0.1
+# How long after a signal others do nothing: they may come together, and the second before anyone
+# has heard of the first. Not for ever, for a library may swallow the first.
+_CALM_S = 1.0
+_struck_s = -math.inf
 
 # Called wherever work may be stopped; raises `Stopped` there once it is to stop.
 Check = Callable[[], None]
@@ -104,7 +110,10 @@ def _deaf() -> Iterator[None]:
 
 
 def exit_on_signals() -> None:
-    """Have SIGTERM exit as Ctrl-C does, in order, and neither of them strike within an import."""
+    """Have SIGTERM exit as Ctrl-C does, in order, and neither of them strike within an import.
+
+    Of signals that come close together the first one counts.
+    """
     signal.signal(signal.SIGTERM, _outside_imports)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored
         signal.signal(signal.SIGINT, _outside_imports)
@@ -120,6 +129,10 @@ def _outside_imports(number: int, frame: FrameType | None) -> None:
             again.start()
             return
         at = at.f_back
+    global _struck_s
+    if time.monotonic() < _struck_s + _CALM_S:
+        return
+    _struck_s = time.monotonic()
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     sys.exit(128 + number)
