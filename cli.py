@@ -444,6 +444,10 @@ def _check_model_installed() -> None:
         )
 
 
+# As in `model.devices.Precision`, which takes torch's time to import.
+_PRECISIONS = click.Choice(["32-true", "16-mixed", "bf16-mixed"])
+
+
 class _Alpha(click.ParamType):
     """A number, or K."""
 
@@ -503,7 +507,7 @@ def _settings(command: Callable[..., Any]) -> Callable[..., Any]:
         ("workers", int, "Processes that load images.  [default: 4]"),
         (
             "precision",
-            click.Choice(["32-true", "16-mixed", "bf16-mixed"]),
+            _PRECISIONS,
             "Of the encoders.  [default: 32-true]",
         ),
         ("accelerator", str, "auto, cpu, cuda, ...  [default: auto]"),
@@ -537,7 +541,7 @@ _checkpoint = click.option(
 _device = click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda[:N].")
 _precision = click.option(
     "--precision",
-    type=click.Choice(["32-true", "16-mixed", "bf16-mixed"]),
+    type=_PRECISIONS,
     default="32-true",
     show_default=True,
     help="Of the encoders; what follows them is float32. 16-mixed: GPUs only.",

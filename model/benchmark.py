@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from model.devices import Precision, choose_device
+from model.devices import Precision, choose_device, precision_note
 from model.errors import ConfigError, is_out_of_memory
 from model.localizer import Localizer, load_candidates
 from model.runs import Checkpoint
@@ -72,12 +72,11 @@ class Timings:
             ("aggregate", self.aggregate_s, "ground descriptors, attention"),
             ("score", self.score_s, f"{self.poses:,} poses, {self.distinct_masks:,} masks"),
         )
-        encoders = "" if self.precision == "32-true" else f", encoders {self.precision}"
         lines = [f"{name:<10}{1e3 * s:>10.1f} ms  {what}" for name, s, what in stages]
         where = self.device if self.device != "cpu" else f"cpu, {self.threads} threads"
         lines.append(
             f"{self.frames_per_second:.2f} frames a second ({where}, batches of {self.batch_size}"
-            f"{encoders})"
+            f"{precision_note(self.precision)})"
         )
         return "\n".join(lines)
 

@@ -40,6 +40,11 @@ def autocast(device: torch.device, precision: Precision) -> AbstractContextManag
     return torch.autocast(device.type, _AUTOCAST[precision])
 
 
+def precision_note(precision: Precision) -> str:
+    """What a report's line adds where the encoders do not compute in float32."""
+    return "" if precision == "32-true" else f", encoders {precision}"
+
+
 def device_name(name: str) -> str:
     """The kind of device that a name stands for: "auto" is CUDA where it is there, else the CPU.
 

@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader, Subset
 
 from model.config import check_workers
 from model.data import BadSamples, PoseDataset, collate, denormalise
-from model.devices import Precision
+from model.devices import Precision, precision_note
 from model.drawing import draw_errors, draw_estimate
 from model.errors import ConfigError, RunError
 from model.localizer import Estimate, Localizer
@@ -87,12 +87,10 @@ class Evaluation:
     def report(self) -> str:
         """The figures as a few lines of text."""
         errors, floor = self.errors.summary(), self.floor.summary()
-        precision = self.settings["precision"]
         lines = [
             f"{len(self.names):,} samples of {self.settings['data']} {self.settings['split']} "
             f"{self.settings['part']}, candidates {self.settings['grid']}, "
-            f"refine {self.settings['refine']}"
-            + ("" if precision == "32-true" else f", encoders {precision}"),
+            f"refine {self.settings['refine']}{precision_note(self.settings['precision'])}",
             "           mean      median    floor of the grid (mean, median)",
         ]
         for kind, unit in (("place", "m"), ("heading", "deg")):

@@ -188,7 +188,11 @@ def run_task(task, folder, *before):
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    said = [line for line in ran.stderr.splitlines() if "waiting until another" not in line]
+    said = ran.stderr.splitlines()
+    if task == "crowd":  # all but one of them wait
+        said = [
+            line for line in said if not line.endswith(": waiting until another builder of it ends")
+        ]
     # No word from HDF5 or the interpreter, from any builder. (An interrupt may fall into a function
     # that Python calls on its own, such as a weak reference's, where it is reported and lost.)
     assert task == "interrupt" or not said

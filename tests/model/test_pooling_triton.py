@@ -142,10 +142,10 @@ def test_scores_take_the_kernel_where_it_can_be_had(
 
 COMPILE = """
 import sys, triton
-slices, aligned = int(sys.argv[2]), sys.argv[3] == "aligned"
 from triton.backends.compiler import GPUTarget
 from model import pooling_triton as kernel
 
+slices, aligned = int(sys.argv[2]), sys.argv[3] == "aligned"
 types = ["*i64", "*i32", "*i32", *["*fp32"] * 5, "i32", "i32", "i32", *["constexpr"] * 3]
 source = triton.compiler.ASTSource(
     kernel._pool,
