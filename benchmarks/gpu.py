@@ -4,11 +4,11 @@ import tempfile
 from typing import Any
 
 import torch
+from slicematch.evaluation.timing import median_seconds, time_settings
+from slicematch.scoring.scores import Candidates, score_candidates
 
 from benchmarks.figure import Figure
 from benchmarks.scoring import GRIDS, random_pair
-from model.benchmark import median_seconds, time_settings
-from model.scoring import Candidates, score_candidates
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
 FRAMES_PER_SECOND = 500  # wanted at the default grid, float32, one pair at a time

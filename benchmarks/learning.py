@@ -88,7 +88,7 @@ def _slicemask(*arguments: str, threads: int | None = None) -> dict[str, float]:
     click.echo("slicemask " + " ".join(arguments), err=True)
     environment = os.environ | ({} if threads is None else {"OMP_NUM_THREADS": str(threads)})
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([sys.executable, "-m", "cli", *arguments], check=True, env=environment)
+    subprocess.run([sys.executable, "-m", "slicemask", *arguments], check=True, env=environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {"wall_s": round(time.perf_counter() - start), "processor_s": round(processor)}

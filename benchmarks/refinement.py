@@ -12,10 +12,10 @@ import time
 
 import click
 import torch
+from slicematch.localization.refinement import Domain, Similarity, find_modes, refine_modes
+from slicematch.network.aggregation import unit
+from slicematch.scoring.scores import Candidates, score_candidates
 
-from model.aggregation import unit
-from model.refinement import Domain, Similarity, find_modes, refine_modes
-from model.scoring import Candidates, score_candidates
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
 CHANNELS, CELLS, TILE_METRES = 512, 32, 72.5

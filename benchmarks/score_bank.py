@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import torch
+from slicematch.scoring.scores import Candidates, score_candidates
 
 from benchmarks.scoring import random_pair
-from model.scoring import Candidates, score_candidates
 from slicemask import open_bank
 
 

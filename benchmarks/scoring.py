@@ -11,14 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from slicematch.network.aggregation import unit
+from slicematch.network.slicematch import SliceMatch
+from slicematch.scoring.scores import Candidates, score_candidates, score_masks
+from slicematch.training.losses import contrastive_loss
 from torch import Tensor
 
 from benchmarks.figure import Figure
 from benchmarks.timing import slicemask_command
-from model.aggregation import unit
-from model.losses import contrastive_loss
-from model.scoring import Candidates, score_candidates, score_masks
-from model.slicematch import SliceMatch
 from slicemask import Frustum, open_bank, slice_masks
 
 SLICES, CHANNELS, CELLS = 16, 512, 32  # VGG16's

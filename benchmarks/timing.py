@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 # What the installed `slicemask` script runs; modules are found compiled, as they are for it.
-_SCRIPT = "from cli import main; main()"
+_SCRIPT = "from slicemask.cli.main import main; main()"
 _ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 
 

@@ -15,12 +15,12 @@ import tempfile
 import click
 import numpy as np
 import torch
+from slicematch.evaluation.metrics import PoseErrors, pose_errors
+from slicematch.localization.refinement import Domain, Refine, Similarity, find_modes, refine_modes
+from slicematch.network.aggregation import aerial_descriptors
+from slicematch.scoring.scores import Candidates, score_candidates
 from torch.nn import functional as F  # noqa: N812
 
-from model.aggregation import aerial_descriptors
-from model.metrics import PoseErrors, pose_errors
-from model.refinement import Domain, Refine, Similarity, find_modes, refine_modes
-from model.scoring import Candidates, score_candidates
 from slicemask import Frustum, PoseGrid, build_bank, open_bank, slice_masks
 
 CELLS, CHANNELS = 32, 16

@@ -1,5 +1,7 @@
 """The errors of slicemask. Each is also the built-in a caller would expect to catch."""
 
+import re
+
 
 class SlicemaskError(Exception):
     """Base of every error that slicemask raises on purpose; its text is one sentence to read."""
@@ -35,3 +37,21 @@ class OutputError(SlicemaskError, OSError):
 
 class SynthError(SlicemaskError, OSError):
     """A generated city that cannot be asked for, or that cannot be written where it should go."""
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether an error says that memory is short: Python's, or one of torch's, on any device.
+
+    Torch need not be imported to ask.
+    """
+    # torch.OutOfMemoryError is CUDA's; on the CPU only the text tells.
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError)
+        and (
+            type(error).__name__ == "OutOfMemoryError"
+            or re.search(
+                "can(no|')t allocate memory|CUDA out of memory|bad_alloc", str(error), re.IGNORECASE
+            )
+            is not None
+        )
+    )

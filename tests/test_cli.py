@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from cli import main
 from slicemask import open_bank
 from slicemask.bank.seal import write_seal
+from slicemask.cli.main import main
 
 SMALL = ["build", "--grid", "3x3x8", "--slices", "4", "--cells", "4"]
 
@@ -256,7 +256,7 @@ def test_visualize_without_a_bank_says_how_to_build_one(run):
 
 def test_the_installed_command_prints_no_bar_into_a_pipe(tmp_path):
     found = subprocess.run(
-        [sys.executable, "-m", "cli", *SMALL], cwd=tmp_path, capture_output=True, text=True,
+        [sys.executable, "-m", "slicemask", *SMALL], cwd=tmp_path, capture_output=True, text=True,
         check=True,
     )  # fmt: skip
     assert found.stderr == ""

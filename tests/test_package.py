@@ -20,11 +20,11 @@ def test_importing_the_command_leaves_the_interpreter_as_it_was():
     code = (
         "import gc, sys\n"
         "before = sys.getswitchinterval()\n"
-        "import cli\n"
+        "import slicemask.cli.main\n"
         "on = gc.isenabled()\n"
-        "del sys.modules['cli']\n"
+        "del sys.modules['slicemask.cli.main']\n"
         "gc.disable()\n"
-        "import cli\n"
+        "import slicemask.cli.main\n"
         "print(on, gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval() == before)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -36,6 +36,6 @@ def test_public_names():
     assert slicemask.__all__ == [
         "Bank", "BankError", "BankExistsError", "BankFormatError", "BankSpec", "BuildResult",
         "Frustum", "PlotError", "PoseError", "PoseGrid", "SlicemaskError", "SpecError",
-        "build_bank", "open_bank", "read_poses", "slice_masks",
+        "__version__", "build_bank", "open_bank", "read_poses", "slice_masks",
     ]  # fmt: skip
     assert all(hasattr(slicemask, name) for name in slicemask.__all__)

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import slicemask
+from slicemask._version import __version__
 from slicemask.bank.batches import GridSource, ListSource, PoseSource
 from slicemask.bank.cache import bank_path, made_folder
 from slicemask.bank.lock import only_builder
@@ -153,7 +153,7 @@ def build_bank(
 
 def _versions(engine: Engine) -> dict[str, str]:
     versions = {
-        "slicemask": slicemask.__version__,
+        "slicemask": __version__,
         "numpy": np.__version__,
         "h5py": h5py.__version__,
         "hdf5": h5py.version.hdf5_version,

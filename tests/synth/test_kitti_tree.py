@@ -6,8 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from PIL import Image
-
-from model.data.kitti import (
+from slicematch.data.kitti import (
     METRES_PER_PIXEL,
     KittiConfig,
     KittiDataset,
@@ -15,6 +14,7 @@ from model.data.kitti import (
     read_heading,
     read_hfov_deg,
 )
+
 from slicemask.errors import SynthError
 from slicemask.synth import generate_kitti, kitti
 

@@ -6,7 +6,7 @@ import sys
 
 from click.testing import CliRunner
 
-from cli import main
+from slicemask.cli.main import main
 
 SMALL = ["--panoramas", "1", "--panorama-size", "64x32", "--tile-size", "32", "--jobs", "1"]
 
@@ -25,7 +25,14 @@ def test_generates_then_says_that_all_is_there(tmp_path):
 
 
 def test_two_at_once_make_one_data_set(tmp_path):
-    command = [sys.executable, "-c", "from cli import main; main()", "synth", "--format", "vigor"]
+    command = [
+        sys.executable,
+        "-c",
+        "from slicemask.cli.main import main; main()",
+        "synth",
+        "--format",
+        "vigor",
+    ]
     both = [
         subprocess.Popen([*command, *SMALL, "--out", tmp_path / "city"], stderr=subprocess.PIPE)
         for _ in range(2)
@@ -71,7 +78,7 @@ def test_without_the_extra_the_command_says_what_to_install(tmp_path):
     code = (
         "import sys\n"
         "sys.modules['trimesh'] = None\n"
-        "from cli import main\n"
+        "from slicemask.cli.main import main\n"
         f"main(['synth', '--format', 'vigor', '--out', {str(tmp_path / 'city')!r}])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

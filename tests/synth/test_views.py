@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from slicematch.data.images import turn_panorama
 
-from model.data.images import turn_panorama
 from slicemask import Frustum, slice_masks
 from slicemask.synth.cameras import SKY_M, Aerial, Panorama, Pinhole
 from slicemask.synth.elements import Kind, Landmark

@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 from PIL import Image
+from slicematch.data.vigor import METRES_PER_PIXEL, VigorConfig, VigorDataset, read_labels
 
-from model.data.vigor import METRES_PER_PIXEL, VigorConfig, VigorDataset, read_labels
 from slicemask.errors import SpecError, SynthError
 from slicemask.synth import generate_vigor
 from slicemask.synth.vigor import CITIES, VigorSpec, plan_city

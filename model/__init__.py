@@ -1,1 +1,0 @@
-"""SliceMatch in torch, on slicemask banks."""

@@ -1,0 +1,9 @@
+from .evaluation.evaluate import evaluate as evaluate
+from .localization.localizer import Estimate as Estimate
+from .localization.localizer import Localizer as Localizer
+from .network.slicematch import SliceMatch as SliceMatch
+from .runs.config import TrainConfig as TrainConfig
+from .scoring.scores import Candidates as Candidates
+from .training.train import train as train
+
+__all__: list[str]

@@ -1,0 +1,15 @@
+"""Errors of the model: configurations, weights and runs that cannot be used."""
+
+from slicemask.errors import SlicemaskError
+
+
+class ConfigError(SlicemaskError, ValueError):
+    """A setting of training, evaluation or prediction that cannot be."""
+
+
+class WeightsError(SlicemaskError, OSError):
+    """Encoder weights that cannot be had or do not fit the encoder."""
+
+
+class RunError(SlicemaskError, OSError):
+    """A run folder or checkpoint that cannot be written, read or used."""

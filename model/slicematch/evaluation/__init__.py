@@ -1,0 +1,1 @@
+"""Errors, calibration and timings of a trained run, and pictures of them."""

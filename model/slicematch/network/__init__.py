@@ -1,0 +1,1 @@
+"""SliceMatch's network: encoders, and the aggregation of their features to descriptors."""

@@ -1,0 +1,211 @@
+"""Image encoders: f_g and f_a of SliceMatch, any timm backbone cut at one stride."""
+
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from slicematch import _torchvision  # noqa: F401  before timm: see there
+from slicematch.devices import Precision, autocast
+from slicematch.errors import ConfigError, WeightsError
+
+import timm  # isort: skip
+from timm.layers import Format  # isort: skip
+
+
+class Encoder(nn.Module):
+    """A timm backbone, cut after its last stage of the stride asked for.
+
+    With ``vgg16`` and stride 16 that is stage 5 before its pooling, C = 512 (SliceMatch, CVPR
+    2023, section 4.2); with ``resnet50`` the stage of stride 16, C = 1024 (ours).
+
+    Parameters
+    ----------
+    name : str
+        A timm model that gives feature maps, such as "vgg16", "resnet50" or "convnext_tiny".
+    image_size : (height, width)
+        Size of the images in pixels.
+    stride : int
+        Pixels of the image for one step in the feature map.
+    weights : str or path
+        "imagenet" (timm's pretrained weights, fetched from a model hub on first use), "none"
+        (random), or a file of the backbone's weights: safetensors, or a torch state dict, which
+        is read with ``weights_only=True``.
+
+    Attributes
+    ----------
+    channels : int
+        C, the channels of the feature map.
+    feature_size : (height, width)
+        H and W of the feature map.
+    precision : {"32-true", "16-mixed", "bf16-mixed"}
+        In which the backbone computes; "32-true" leaves it to an autocast around it, if any.
+
+    Raises
+    ------
+    ConfigError
+        If timm has no such model, or the model has no stage of that stride or cannot take
+        images of that size.
+    WeightsError
+        If the weights cannot be had or do not fit the model.
+
+    Examples
+    --------
+    >>> encoder = Encoder("test_resnet", (64, 128), stride=16, weights="none")
+    >>> encoder.channels, encoder.feature_size
+    (192, (4, 8))
+    """
+
+    def __init__(
+        self,
+        name: str,
+        image_size: tuple[int, int],
+        stride: int = 16,
+        weights: str | Path = "imagenet",
+    ) -> None:
+        super().__init__()
+        self.precision: Precision = "32-true"
+        options, stage = _find_stage(name, image_size, stride)
+        self.backbone = _create(name, {**options, "out_indices": (stage,)}, weights)
+        # Some backbones give [B, H, W, C].
+        self.channels_last = getattr(self.backbone, "output_fmt", None) == Format.NHWC
+        self.channels: int = self.backbone.feature_info.channels()[-1]
+        self.feature_size = _feature_size(name, options, stage, image_size, self.channels_last)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Feature maps of images.
+
+        Parameters
+        ----------
+        images : float [B, 3, height, width]
+            Normalised with ImageNet's mean and standard deviation.
+
+        Returns
+        -------
+        features : float [B, C, H, W]
+            In float32 at least: where the backbone computes in fewer bits, what follows does not.
+        """
+        with autocast(images.device, self.precision):
+            features = self.backbone(images)[-1]
+        features = features.to(torch.promote_types(features.dtype, torch.float32))
+        return features.permute(0, 3, 1, 2) if self.channels_last else features
+
+
+def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[dict, int]:
+    """The options that fit the backbone to the image size, and its last stage of that stride."""
+    # timm also takes addresses on a hub; a run's settings may not send anyone there.
+    if not timm.is_model(name.split(".")[0]):
+        raise ConfigError(
+            f"encoder {name!r} is no timm model; name one that timm.list_models() lists, such as "
+            "vgg16 or resnet50"
+        )
+    try:
+        with torch.device("meta"):  # shapes only: no memory, no random numbers
+            whole = timm.create_model(name)
+            # Transformers are built for one image size.
+            options = {"img_size": image_size} if hasattr(whole, "set_input_size") else {}
+            strides = timm.create_model(name, features_only=True, **options).feature_info
+    except Exception as error:  # each backbone refuses in its own way
+        raise ConfigError(
+            f"encoder {name!r} cannot be made for images of {_size(image_size)} "
+            f"({_first_line(error)}); name one that gives feature maps of such images, such as "
+            "vgg16 or resnet50"
+        ) from error
+    strides = strides.reduction()
+    if stride not in strides:
+        raise ConfigError(
+            f"encoder {name!r} has no stage of stride {stride}; it has "
+            f"{', '.join(str(s) for s in sorted(set(strides)))}"
+        )
+    return options, max(stage for stage, found in enumerate(strides) if found == stride)
+
+
+def _feature_size(
+    name: str, options: dict, stage: int, image_size: tuple[int, int], channels_last: bool
+) -> tuple[int, int]:
+    try:
+        with torch.device("meta"):
+            net = timm.create_model(name, features_only=True, out_indices=(stage,), **options)
+            shape = net(torch.zeros(1, 3, *image_size))[-1].shape
+    except (RuntimeError, ValueError, AssertionError) as error:
+        raise ConfigError(
+            f"encoder {name!r} cannot take images of {_size(image_size)} "
+            f"({_first_line(error)}); choose sides that its stride divides"
+        ) from error
+    return tuple(shape[1:3]) if channels_last else tuple(shape[2:4])
+
+
+def _create(name: str, options: dict, weights: str | Path) -> nn.Module:
+    if str(weights) == "none":
+        return timm.create_model(name, features_only=True, **options)
+    if str(weights) == "imagenet":
+        try:
+            return timm.create_model(name, features_only=True, pretrained=True, **options)
+        except (OSError, RuntimeError) as error:
+            raise WeightsError(
+                f"the ImageNet weights of encoder {name!r} cannot be had from the model hub "
+                f"({_first_line(error)}); connect once so that they are cached, or name a "
+                "downloaded file of them as the weights, or start from random ones with 'none'"
+            ) from error
+    state = _read_weights(Path(weights))
+    try:
+        backbone = timm.create_model(
+            name,
+            features_only=True,
+            pretrained=True,
+            pretrained_cfg_overlay={"state_dict": state},
+            **options,
+        )
+    except (RuntimeError, KeyError, AttributeError) as error:
+        raise _unfit(weights, name, _first_line(error)) from error
+    # timm passes over what it does not find; here every tensor must have come from the file.
+    held: dict[int, list[Tensor]] = {}
+    for tensor in state.values():
+        held.setdefault(tensor.numel(), []).append(tensor.flatten())
+    for key, parameter in backbone.named_parameters():
+        flat = parameter.detach().flatten()
+        if not any(torch.equal(flat, tensor.to(flat)) for tensor in held.get(len(flat), ())):
+            raise _unfit(weights, name, f"the file lacks {key}")
+    return backbone
+
+
+def _read_weights(path: Path) -> dict[str, Tensor]:
+    """Read a state dict without running anything that the file may hold."""
+    try:
+        if path.suffix == ".safetensors":
+            state = load_file(path)
+        else:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise WeightsError(
+            f"{path}: there is no such file; weights are 'imagenet', 'none' or a file"
+        ) from None
+    except (OSError, SafetensorError, RuntimeError, ValueError, EOFError) as error:
+        raise WeightsError(f"{path}: cannot be read as weights ({_first_line(error)})") from error
+    except Exception as error:  # pickle.UnpicklingError and what a hostile pickle provokes
+        raise WeightsError(
+            f"{path}: is not a plain file of weights ({_first_line(error)}); save them as "
+            "safetensors, or as a torch state dict"
+        ) from error
+    if isinstance(state, dict) and isinstance(state.get("state_dict"), dict):
+        state = state["state_dict"]
+    if not (isinstance(state, dict) and all(isinstance(t, Tensor) for t in state.values())):
+        raise WeightsError(f"{path}: holds no state dict, that is names with a tensor each")
+    return state
+
+
+def _unfit(weights: str | Path, name: str, why: str) -> WeightsError:
+    return WeightsError(
+        f"{weights}: does not fit encoder {name!r} ({why}); give the weights of that timm model"
+    )
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0].rstrip(".") if lines else type(error).__name__
+
+
+def _size(image_size: tuple[int, int]) -> str:
+    return f"{image_size[0]}x{image_size[1]} pixels (height x width)"

@@ -1,0 +1,125 @@
+"""SliceMatch: encode both images, aggregate to descriptors, score poses."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from slicematch.devices import Precision, check_precision
+from slicematch.errors import ConfigError
+from slicematch.network.aggregation import AerialAttention, GroundAggregator
+from slicematch.network.encoders import Encoder
+from slicematch.scoring.scores import Candidates, score_candidates
+
+
+class SliceMatch(nn.Module):
+    """Cross-view pose estimation by slices: Lentsch, Xia, Caesar, Kooij, CVPR 2023.
+
+    Shapes: B pairs, C channels, N slices, L x L aerial cells, K poses.
+
+    Parameters
+    ----------
+    encoder : str
+        timm backbone of both images; the two share no weights.
+    weights : str or path
+        Weights that both encoders start from: see `slicematch.network.encoders.Encoder`.
+    ground_size : (height, width)
+        Pixels of the ground images.
+    aerial_size : int
+        Pixels along each side of the aerial images.
+    stride : int
+        Stride of the feature maps.
+    slices : int
+        N.
+    cross_view_attention : bool
+        Whether the aerial attention sees the ground descriptors (eq. 3).
+
+    Attributes
+    ----------
+    cells : int
+        L, the cells along each side of the aerial feature map, and so of the masks.
+    channels : int
+        C.
+
+    Raises
+    ------
+    ConfigError, WeightsError
+        As `slicematch.network.encoders.Encoder`.
+    """
+
+    def __init__(
+        self,
+        encoder: str = "vgg16",
+        weights: str | Path = "imagenet",
+        ground_size: tuple[int, int] = (320, 640),
+        aerial_size: int = 512,
+        stride: int = 16,
+        slices: int = 16,
+        cross_view_attention: bool = True,
+    ) -> None:
+        super().__init__()
+        if slices < 1:
+            raise ConfigError(f"slices is {slices}; it must be at least 1")
+        self.ground_encoder = Encoder(encoder, ground_size, stride, weights)
+        self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights)
+        self.channels = self.aerial_encoder.channels
+        self.cells = self.aerial_encoder.feature_size[0]
+        self.ground_aggregator = GroundAggregator(self.channels, slices)
+        self.aerial_attention = AerialAttention(self.channels, cross_view_attention)
+
+    def forward(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
+        """Images [B, 3, height, width] and [B, 3, A, A] to scores [B, K] of K candidates."""
+        return self.score(self.encode_ground(ground), self.encode_aerial(aerial), candidates)
+
+    def for_inference(self, device: torch.device, precision: Precision = "32-true") -> "SliceMatch":
+        """Set the model to evaluate on a device, its encoders laid out to be fast; returns it.
+
+        Parameters
+        ----------
+        device : torch.device
+            To which it moves.
+        precision : {"32-true", "16-mixed", "bf16-mixed"}
+            In which the encoders compute.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such precision, or not on that device.
+        """
+        for encoder in (self.ground_encoder, self.aerial_encoder):
+            encoder.precision = check_precision(precision, device)
+            # Convolutions with channels last take less time, VGG16's three quarters on a CPU.
+            # Not so in training: the order of its sums, and so its results, would change.
+            encoder.to(memory_format=torch.channels_last)
+        return self.eval().to(device)
+
+    def encode_ground(self, images: Tensor) -> Tensor:
+        """Ground images [B, 3, height, width] to unit descriptors d_g^n [B, N, C]."""
+        return self.ground_aggregator(self.ground_encoder(images))
+
+    def encode_aerial(self, images: Tensor) -> Tensor:
+        """Aerial images [B, 3, A, A] to feature maps z_a [B, C, L, L]."""
+        return self.aerial_encoder(images)
+
+    def attend(self, aerial: Tensor, ground: Tensor) -> Tensor:
+        """Attention maps M_a^n [B, N, L, L] of z_a [B, C, L, L] for d_g^n [B, N, C]."""
+        return self.aerial_attention(aerial, ground)
+
+    def score(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
+        """Scores of candidates.
+
+        Parameters
+        ----------
+        ground : float [B, N, C]
+            What `encode_ground` gives.
+        aerial : float [B, C, L, L]
+            What `encode_aerial` gives.
+        candidates : Candidates
+            K poses.
+
+        Returns
+        -------
+        scores : float [B, K]
+            Cosines, in [-1, 1]; `Candidates.on_grid` lays them on the grid.
+        """
+        return score_candidates(ground, aerial, self.attend(aerial, ground), candidates)

@@ -1,0 +1,244 @@
+"""A run folder: what training leaves behind, and all that evaluation and prediction need.
+
+``config.yaml``
+    The settings, complete (`slicematch.runs.config.TrainConfig`).
+``metrics.jsonl``
+    One line of JSON an epoch.
+``checkpoints/best.ckpt``, ``checkpoints/last.ckpt``
+    Weights, and in the last one everything that resuming takes. Both are read with torch's
+    ``weights_only=True``, so that opening a run from elsewhere runs nothing that it holds.
+``calibration.json``
+    The temperature that makes scores probabilities (`slicematch.evaluation.calibration`).
+``tensorboard/``, ``heat_maps/``, ``bad_samples.jsonl``, ``evaluation/``
+    Curves, an example of each epoch, unreadable samples, and results.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import torch
+
+from slicemask import PoseGrid
+from slicematch.errors import RunError
+from slicematch.network.slicematch import SliceMatch
+from slicematch.runs.config import TrainConfig
+from slicematch.runs.settings import read_settings
+
+Checkpoint = Literal["best", "last"]
+
+
+@dataclass(frozen=True)
+class FittedTemperature:
+    """A temperature, and what gave the scores that it was fitted to, under the run's own priors.
+
+    Parameters
+    ----------
+    temperature : float
+        Greater than 0.
+    grid : PoseGrid
+        Of the candidates.
+    checkpoint : {"best", "last"}
+        Of the weights.
+    """
+
+    temperature: float
+    grid: PoseGrid
+    checkpoint: Checkpoint
+
+    def matches(self, grid: PoseGrid, checkpoint: Checkpoint) -> bool:
+        """Whether scores of these candidates and weights are those that it was fitted to."""
+        return (grid, checkpoint) == (self.grid, self.checkpoint)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The names of a run's files; see this module's text.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    """
+
+    path: Path
+
+    @property
+    def config_file(self) -> Path:
+        """The settings."""
+        return self.path / "config.yaml"
+
+    @property
+    def metrics_file(self) -> Path:
+        """The metrics of each epoch."""
+        return self.path / "metrics.jsonl"
+
+    @property
+    def bad_samples_file(self) -> Path:
+        """Samples that could not be read in training."""
+        return self.path / "bad_samples.jsonl"
+
+    @property
+    def calibration_file(self) -> Path:
+        """The temperature, and how it was fitted."""
+        return self.path / "calibration.json"
+
+    def checkpoint(self, which: str) -> Path:
+        """The checkpoint "best" or "last"."""
+        return self.path / "checkpoints" / f"{which}.ckpt"
+
+    def load_config(self) -> TrainConfig:
+        """The run's settings.
+
+        Raises
+        ------
+        RunError
+            If the folder is no run.
+        ConfigError
+            If its settings cannot be read.
+        """
+        if not self.config_file.is_file():
+            raise RunError(
+                f"{self.path}: is no run folder, since it has no {self.config_file.name}; name "
+                "one that `slicemask train` wrote"
+            )
+        return TrainConfig.load(self.config_file)
+
+    def load_calibration(self, config: TrainConfig) -> FittedTemperature | None:
+        """The temperature that was fitted to the scores of the run, of these settings, if any was.
+
+        Raises
+        ------
+        RunError
+            If the file that should hold it does not.
+        """
+        try:
+            content = json.loads(self.calibration_file.read_text("utf-8"))
+            temperature, checkpoint = content["temperature"], content["checkpoint"]
+            if not (isinstance(temperature, float) and 0.0 < temperature < math.inf):
+                raise ValueError(f"temperature is {temperature!r}")
+            if checkpoint not in get_args(Checkpoint):
+                raise ValueError(f"checkpoint is {checkpoint!r}")
+            grid = config.grid("test_grid", str(content["grid"]))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise RunError(
+                f"{self.calibration_file}: holds no temperature greater than 0 with its grid and "
+                f"checkpoint ({error!r}); remove it, or write it anew with `slicemask calibrate`"
+            ) from error
+        return FittedTemperature(temperature, grid, checkpoint)
+
+    def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
+        """The run's settings and its model with trained weights, on the CPU, set to evaluate.
+
+        Raises
+        ------
+        RunError
+            If the folder is no run, or the checkpoint is missing, is not safe to read, does not
+            fit the settings or is that of a run that diverged.
+        """
+        config = self.load_config()
+        path = self.checkpoint(which)
+        content = read_checkpoint(path)
+        model = build_model(config, weights="none")
+        load_weights(model, content, path)
+        return config, model.eval()
+
+
+def plan_run(
+    settings: Mapping[str, Any],
+    config_file: str | Path | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+) -> tuple[TrainConfig, Path]:
+    """The settings and the folder of a run to train.
+
+    Parameters
+    ----------
+    settings : mapping
+        Settings asked for by name; they go before all others.
+    config_file : path, optional
+        A YAML file of further settings.
+    out : path, optional
+        The run folder; ``runs/<data>`` by default.
+    resume : bool
+        Take what is still open from the run that is in the folder, if there is one.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read or a setting cannot be.
+    """
+    asked = {**(read_settings(config_file) if config_file is not None else {}), **settings}
+    folder = Path(out) if out is not None else Path("runs", str(asked.get("data", "run")))
+    own = RunFolder(folder).config_file
+    if resume and own.is_file():
+        asked = {**read_settings(own), **asked}
+    return TrainConfig.from_dict(asked), folder
+
+
+def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
+    """The model that the settings describe; `weights` replaces what its encoders start from."""
+    return SliceMatch(
+        encoder=config.encoder,
+        weights=config.weights if weights is None else weights,
+        ground_size=config.ground_size,
+        aerial_size=config.aerial_size,
+        stride=config.stride,
+        slices=config.slices,
+        cross_view_attention=config.cross_view_attention,
+    )
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint's plain content; nothing in the file is run.
+
+    Raises
+    ------
+    RunError
+        If it is missing, broken, or holds anything but plain values and tensors.
+    """
+    if not path.is_file():
+        raise RunError(
+            f"{path}: there is no such checkpoint; the run may have stopped before the end of "
+            "its first epoch"
+        )
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a hostile or broken file can provoke nearly anything
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise RunError(
+            f"{path}: is not a checkpoint of plain values and tensors ({reason[:200]}); nothing "
+            "in it was run; take a checkpoint that slicemask wrote"
+        ) from error
+    if not (isinstance(content, dict) and isinstance(content.get("state_dict"), Mapping)):
+        raise RunError(f"{path}: holds no weights; take a checkpoint that slicemask wrote")
+    return content
+
+
+def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> None:
+    """Give a model the weights of a checkpoint that was read from a path.
+
+    Raises
+    ------
+    RunError
+        If they do not fit the model, or are not finite.
+    """
+    weights = {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    try:
+        model.load_state_dict(weights)
+    except (RuntimeError, TypeError, AttributeError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(
+            f"{path}: does not fit the run's config.yaml ({reason[:200]}); both must come from "
+            "the same run"
+        ) from error
+    if not all(bool(value.isfinite().all()) for value in weights.values()):
+        raise RunError(
+            f"{path}: holds weights that are not finite numbers, so the run has diverged; train "
+            "anew with a lower learning rate"
+        )

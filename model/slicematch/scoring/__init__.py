@@ -1,0 +1,1 @@
+"""Scores of candidate poses under their slice masks."""

@@ -1,0 +1,1 @@
+"""The slicemask command: parse, call the library once, print."""

@@ -1,0 +1,108 @@
+"""The group of all commands: what they are, and how their errors end."""
+
+import errno
+import gc
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+from slicemask._version import __version__
+from slicemask.errors import SlicemaskError
+from slicemask.shield import exit_on_signals
+
+# Where each command lives, and its line in the list of commands, so that listing them imports
+# none: `slicemask --help` answers in 0.1 s, and NumPy and h5py alone take as long.
+_COMMANDS = {
+    "build": ("bank", "Build the bank of a pose grid, or of a list of poses."),
+    "info": ("bank", "Say what a bank holds."),
+    "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
+    "visualize": ("bank", "Draw the slices of a pose: of BANK, of the newest bank, or of --at."),
+    "synth": ("data", "Generate a city with exact poses, in VIGOR's or KITTI's on-disk format."),
+    "train": ("model", "Train SliceMatch; the paper's settings are the defaults."),
+    "evaluate": (
+        "model",
+        "Measure the errors of a trained RUN, and what the candidate grid alone costs.",
+    ),
+    "calibrate": (
+        "model",
+        "Fit what makes scores of RUN probabilities, on its validation part; training does so too.",
+    ),
+    "predict": ("model", "Find where a ground image was taken, with a trained RUN."),
+    "benchmark": (
+        "model",
+        "Time encoding, aggregation and scoring: of a trained RUN, or of the settings given.",
+    ),
+}
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Collect no garbage during imports, which make none: looking for it takes 20 ms."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.freeze()
+            gc.unfreeze()  # moves what was imported to the oldest generation, seldom looked through
+            gc.enable()
+
+
+class _Group(click.Group):
+    """Commands that are imported when they are asked for.
+
+    Their expected errors are one sentence and exit code 1.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        with _no_collection():
+            module = importlib.import_module(f"slicemask.cli.{_COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        limit = formatter.width - 6 - max(map(len, _COMMANDS))
+        rows = [
+            (name, click.utils.make_default_short_help(text, limit))
+            for name, (_, text) in _COMMANDS.items()
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
+        exit_on_signals()
+        # What was imported is no garbage at the end, either.
+        gc.freeze()
+        try:
+            return super().invoke(ctx)
+        except SlicemaskError as error:
+            raise click.ClickException(str(error)) from error
+        except (MemoryError, RuntimeError) as error:
+            from slicemask.errors import is_out_of_memory
+
+            if not is_out_of_memory(error):
+                raise
+            raise click.ClickException(
+                "this takes more memory than there is; ask for fewer poses, slices or cells, or "
+                "for smaller batches or images"
+            ) from error
+        except OSError as error:
+            if error.errno == errno.EPIPE:  # a reader that has seen enough, which click handles
+                raise
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="slicemask")
+def main() -> None:
+    """Exact slice masks for cross-view localization."""

@@ -1,0 +1,229 @@
+"""Small data trees in the exact on-disk formats of VIGOR and KITTI, with pictures to learn from.
+
+Every ground image is painted from its aerial tile: a column shows the colours that a ray from the
+camera at that column's azimuth meets, near ones at the bottom and far ones at the top. A model
+that matches slices therefore has something true to find.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+# Triton reads this when it is imported: without a GPU, its kernels are interpreted.
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"
+
+VIGOR_METRES_PER_PIXEL = {
+    "NewYork": 0.113248,
+    "Seattle": 0.100817,
+    "SanFrancisco": 0.118141,
+    "Chicago": 0.111262,
+}
+KITTI_METRES_PER_PIXEL = 156543.03392 * np.cos(np.radians(49.015)) / 2**18 / 2
+KITTI_FOCAL_PIXELS = 721.5377
+KITTI_HFOV_DEG = float(np.degrees(2 * np.arctan(1242 / 2 / KITTI_FOCAL_PIXELS)))
+CAMERA_AHEAD_M, CAMERA_RIGHT_M = 1.08, 0.26
+
+
+@dataclass(frozen=True)
+class VigorTree:
+    """A VIGOR tree as written: `labels[city]` lists (panorama, tile, d0, d1) of the pairs."""
+
+    root: Path
+    labels: dict[str, list[tuple[str, str, float, float]]]
+
+
+@dataclass(frozen=True)
+class KittiTree:
+    """A KITTI tree as written: `frames` lists the paths, `tests` their (sx, sy, theta)."""
+
+    root: Path
+    frames: list[str]
+    tests: np.ndarray
+    hfov_deg: float
+
+
+@pytest.fixture(scope="session")
+def make_vigor_tree():
+    """The function that writes a VIGOR tree (see `write_vigor_tree`)."""
+    return write_vigor_tree
+
+
+@pytest.fixture(scope="session")
+def make_kitti_tree():
+    """The function that writes a KITTI tree (see `write_kitti_tree`)."""
+    return write_kitti_tree
+
+
+@pytest.fixture
+def true_colours(monkeypatch):
+    """Augmentation that turns and mirrors, but leaves the colours alone."""
+    monkeypatch.setattr(
+        "slicematch.data.dataset.recolour", lambda ground, aerial, _: (ground, aerial)
+    )
+
+
+@pytest.fixture
+def sample_view():
+    """The function that samples a ground image from a tile (see `look_around`)."""
+    return look_around
+
+
+@pytest.fixture
+def paint_texture():
+    """The function that paints a random tile (see `texture`)."""
+    return texture
+
+
+def texture(rng, pixels, blocks=8):
+    """Paint uint8 [pixels, pixels, 3]: random colours that change smoothly over `blocks` cells."""
+    coarse = Image.fromarray(rng.integers(0, 256, (blocks, blocks, 3), dtype=np.uint8))
+    return np.asarray(coarse.resize((pixels, pixels), Image.Resampling.BICUBIC))
+
+
+def look_around(tile, place, azimuth_deg, ranges):
+    """Sample a ground image uint8 [rows, columns, 3] from a tile.
+
+    Parameters: the camera's `place` (u, v) in the tile, the azimuth of each column (clockwise from
+    north) and the range of each row, as a share of the tile's side. Off the tile it is grey.
+    """
+    azimuth = np.radians(azimuth_deg)
+    u = place[0] + np.outer(ranges, np.sin(azimuth))
+    v = place[1] - np.outer(ranges, np.cos(azimuth))
+    size = len(tile)
+    inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
+    row, col = (np.clip((x * size).astype(int), 0, size - 1) for x in (v, u))
+    return np.where(inside[..., None], tile[row, col], np.uint8(128))
+
+
+def write_vigor_tree(
+    root,
+    pairs=8,
+    *,
+    cities=("Chicago",),
+    test_pairs=None,
+    panorama_size=(256, 512),
+    tile_pixels=320,
+    reach_pixels=150,
+    seed=0,
+):
+    """Write a VIGOR tree and return it as a `VigorTree`.
+
+    `pairs` training pairs a city; the test file repeats them unless `test_pairs` asks for others.
+    Corrected labels and the originals (which assume 0.114 m/px) are both written, no file ending
+    in a newline. Labels lie within `reach_pixels` of the tile's centre, on the 640-pixel scale.
+    """
+    root = Path(root)
+    rng = np.random.default_rng(seed)
+    labels = {}
+    for city in cities:
+        (root / city / "panorama").mkdir(parents=True)
+        (root / city / "satellite").mkdir(parents=True)
+        found = []
+        for number in range(pairs + (test_pairs or 0)):
+            lat, lon = 41.8 + number / 1000, -87.6 - number / 1000
+            panorama = f"pano_{number:03d}-{city},{lat:.6f},{lon:.6f},.jpg"
+            aerial = f"satellite_{lat + 1e-5:.14f}_{lon - 1e-5:.14f}.png"
+            d0, d1 = rng.integers(-reach_pixels, reach_pixels + 1, 2).astype(float)
+            tile = texture(rng, tile_pixels)
+            place = (320 - d1) / 640, (320 + d0) / 640
+            height, width = panorama_size
+            azimuth_deg = 360 * ((np.arange(width) + 0.5) / width - 0.5)
+            ranges = 0.5 * (1 - (np.arange(height) + 0.5) / height)
+            view = look_around(tile, place, azimuth_deg, ranges)
+            Image.fromarray(tile).save(root / city / "satellite" / aerial)
+            Image.fromarray(view).save(root / city / "panorama" / panorama, quality=95)
+            found.append((panorama, aerial, d0, d1))
+        labels[city] = found
+        train, test = found[:pairs], found[pairs:] or found
+        lists = {
+            "same_area_balanced_train": train,
+            "same_area_balanced_test": test,
+            "pano_label_balanced": found,
+        }
+        assumed = VIGOR_METRES_PER_PIXEL[city] / 0.114
+        for folder, suffix, scale in (
+            ("splits__corrected", "__corrected", 1.0),
+            ("splits", "", assumed),
+        ):
+            (root / folder / city).mkdir(parents=True)
+            for name, listed in lists.items():
+                text = "\n".join(vigor_line(*pair, scale=scale) for pair in listed)
+                (root / folder / city / f"{name}{suffix}.txt").write_text(text)
+            tiles = "\n".join(pair[1] for pair in found)
+            (root / folder / city / "satellite_list.txt").write_text(tiles + "\n")
+    return VigorTree(root, labels)
+
+
+def vigor_line(panorama, aerial, d0, d1, scale=1.0):
+    """One label line: the positive and three semi-positives around it."""
+    fields = [panorama]
+    for step0, step1 in ((0, 0), (0, 329), (-327, 0), (-327, 329)):
+        fields += [aerial, f"{round(d0 * scale) + step0}.0", f"{round(d1 * scale) + step1}.0"]
+    return " ".join(fields)
+
+
+def write_kitti_tree(
+    root,
+    pairs=8,
+    *,
+    date="2011_09_26",
+    ground_size=(125, 414),
+    tile_pixels=1280,
+    blocks=24,
+    range_m=40.0,
+    calib=True,
+    seed=0,
+):
+    """Write a KITTI tree as cut by LM and return it as a `KittiTree`.
+
+    The same `pairs` frames stand in the training file and, with seeded (sx, sy, theta), in both
+    test files. Each aerial tile is centred on the GPS unit; the camera stands ahead and to the
+    right of it and looks along the frame's heading, which differs from frame to frame.
+    """
+    root = Path(root)
+    rng = np.random.default_rng(seed)
+    drive = f"{date}/{date}_drive_0001_sync"
+    images = root / "raw_data" / drive / "image_02" / "data"
+    oxts = root / "raw_data" / drive / "oxts" / "data"
+    satmap = root / "satmap" / drive
+    for folder in (images, oxts, satmap):
+        folder.mkdir(parents=True)
+    span_m = tile_pixels * KITTI_METRES_PER_PIXEL
+    height, width = ground_size
+    across = 2 * (np.arange(width) + 0.5) / width - 1
+    azimuth_deg = np.degrees(np.arctan(across * np.tan(np.radians(KITTI_HFOV_DEG / 2))))
+    ranges = range_m / span_m * (1 - (np.arange(height) + 0.5) / height)
+    frames = []
+    for number in range(pairs):
+        heading = rng.uniform(-np.pi, np.pi)  # radians, 0 east, counter-clockwise
+        east = CAMERA_AHEAD_M * np.cos(heading) + CAMERA_RIGHT_M * np.sin(heading)
+        north = CAMERA_AHEAD_M * np.sin(heading) - CAMERA_RIGHT_M * np.cos(heading)
+        place = 0.5 + east / span_m, 0.5 - north / span_m
+        tile = texture(rng, tile_pixels, blocks)
+        view = look_around(tile, place, 90 - np.degrees(heading) + azimuth_deg, ranges)
+        frame = f"{number:010d}"
+        Image.fromarray(view).save(images / f"{frame}.png")
+        Image.fromarray(tile).save(satmap / f"{frame}.png", compress_level=1)
+        fields = [49.01, 8.43, 112.8, 0.03, 0.01, heading] + [0.0] * 24
+        (oxts / f"{frame}.txt").write_text(" ".join(f"{x:.13f}" for x in fields) + "\n")
+        frames.append(f"{drive}/{frame}.png")
+    if calib:
+        row = f"{KITTI_FOCAL_PIXELS} 0 609.5593 44.85728 0 {KITTI_FOCAL_PIXELS} 172.854 0.2163791"
+        (root / "raw_data" / date / "calib_cam_to_cam.txt").write_text(
+            "calib_time: 09-Jan-2012 13:57:47\n"
+            "S_rect_02: 1.242000e+03 3.750000e+02\n"
+            f"P_rect_02: {row} 0 0 1 2.745884e-03\n"
+            "S_rect_03: 1.242000e+03 3.750000e+02\n"
+        )
+    tests = np.round(rng.uniform(-1, 1, (pairs, 3)), 4)
+    (root / "train_files.txt").write_text("\n".join(frames) + "\n")
+    lines = [f"{frame} {sx} {sy} {t}" for frame, (sx, sy, t) in zip(frames, tests, strict=True)]
+    for name in ("test1_files.txt", "test2_files.txt"):
+        (root / name).write_text("\n".join(lines) + "\n")
+    return KittiTree(root, frames, tests, KITTI_HFOV_DEG)

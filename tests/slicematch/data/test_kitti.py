@@ -1,0 +1,334 @@
+"""KITTI as cut by LM: the closed form, the image operations, and the files around them."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from slicematch.data import (
+    DatasetError,
+    ImageError,
+    KittiConfig,
+    KittiDataset,
+    SampleError,
+    denormalise,
+)
+from slicematch.data.kitti import METRES_PER_PIXEL, SPAN_M, camera_pose, cut_tile, read_hfov_deg
+
+SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
+DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
+
+
+def open_kitti(root, part="train", **settings):
+    return KittiDataset(KittiConfig(root=root, **{**SMALL, **settings}), part)
+
+
+def test_the_crop_spans_100_26_metres():
+    assert pytest.approx(0.19583, abs=5e-6) == METRES_PER_PIXEL
+    assert pytest.approx(100.26, abs=0.005) == SPAN_M
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "turn_deg", "right_m", "up_m", "heading_deg"),
+    [
+        ((0, 0), 0, 0, 0, 90),
+        ((20, 0), 0, 20, 0, 90),
+        ((0, 20), 0, 0, 20, 90),
+        ((20, 0), 90, 0, 20, 0),
+        ((0, 20), 90, -20, 0, 0),
+        ((20, 10), 180, -20, -10, 270),
+        ((20, 10), -90, 10, -20, 180),
+        ((0, 0), 10, 0, 0, 80),
+        ((0, 0), 100, 0, 0, 350),
+        ((0, 0), 90.00000000000001, 0, 0, 0),  # -1e-14 % 360 rounds to 360 itself
+    ],
+)
+def test_the_closed_form(shift_m, turn_deg, right_m, up_m, heading_deg):
+    pose = camera_pose(np.array(shift_m, dtype=float), turn_deg)
+    expected = [0.5 + right_m / SPAN_M, 0.5 - up_m / SPAN_M, heading_deg]
+    assert pose == pytest.approx(expected, abs=1e-12)
+    assert 0 <= pose[2] < 360
+
+
+def cut_step_by_step(tile, heading, sx, sy, turn_deg):
+    """LM's image operations one after the other; sx and sy are those of a test line."""
+    tile = tile.rotate(-np.degrees(heading), resample=Image.Resampling.BILINEAR)
+    ahead, right = 1.08 / METRES_PER_PIXEL, 0.26 / METRES_PER_PIXEL
+    shift_x, shift_y = (-s * 20 / METRES_PER_PIXEL for s in (sx, sy))  # negated on load
+    for x, y in ((ahead, right), (shift_x, -shift_y)):
+        tile = tile.transform(
+            tile.size, Image.Transform.AFFINE, (1, 0, x, 0, 1, y), Image.Resampling.BILINEAR
+        )
+    tile = tile.rotate(turn_deg, resample=Image.Resampling.BILINEAR)
+    left = (tile.width - 512) // 2
+    return tile.crop((left, left, left + 512, left + 512))
+
+
+def random_cuts(count=6):
+    rng = np.random.default_rng(5)
+    return [
+        (rng.uniform(-np.pi, np.pi), *rng.uniform(-1, 1, 2), rng.uniform(-180, 180))
+        for _ in range(count)
+    ]
+
+
+@pytest.mark.parametrize(("heading", "sx", "sy", "turn_deg"), random_cuts())
+def test_one_resampling_cuts_what_lm_cuts_in_five(paint_texture, heading, sx, sy, turn_deg):
+    tile = Image.fromarray(paint_texture(np.random.default_rng(0), 1280, blocks=40))
+    once = cut_tile(tile, heading, 20 * np.array([sx, sy]), turn_deg)
+    steps = cut_step_by_step(tile, heading, sx, sy, turn_deg)
+
+    def mismatch(image, other):
+        # Each resampling rounds down: five of them are darker by a grey level or two throughout.
+        difference = np.asarray(image, dtype=float) - other
+        return np.abs(difference - difference.mean()).mean()
+
+    assert mismatch(once, steps) < 1
+    one_pixel_off = np.roll(np.asarray(steps), 1, axis=1)
+    assert mismatch(once, one_pixel_off) > 2.5
+
+
+def paint_spot(pixels, east_m, north_m):
+    """White, with a black Gaussian spot some metres from the middle of the tile."""
+    y, x = np.mgrid[:pixels, :pixels] + 0.5
+    x0, y0 = pixels / 2 + east_m / METRES_PER_PIXEL, pixels / 2 - north_m / METRES_PER_PIXEL
+    spot = 255 * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / 2 / 4.0**2)
+    return Image.fromarray(np.rint(spot)[..., None].repeat(3, 2).astype(np.uint8))
+
+
+def find_spot(image):
+    shown = np.asarray(image, dtype=float)[..., 0]
+    at = (np.arange(len(shown)) + 0.5) / len(shown)
+    return shown.sum(axis=0) @ at / shown.sum(), shown.sum(axis=1) @ at / shown.sum()
+
+
+@pytest.mark.parametrize(("heading", "sx", "sy", "turn_deg"), random_cuts())
+def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, turn_deg):
+    """And one 15 m ahead of the camera lies 15 m along the stated heading."""
+    shift = 20 * np.array([sx, sy])
+    u, v, heading_deg = camera_pose(shift, turn_deg)
+    # The camera stands 1.08 m ahead of the GPS unit and 0.26 m to its right.
+    camera = np.array(
+        [
+            1.08 * np.cos(heading) + 0.26 * np.sin(heading),
+            1.08 * np.sin(heading) - 0.26 * np.cos(heading),
+        ]
+    )
+    ahead = camera + 15 * np.array([np.cos(heading), np.sin(heading)])
+    tolerance = 0.1 / 512  # a tenth of a pixel
+    at_camera = cut_tile(paint_spot(1280, *camera), heading, shift, turn_deg)
+    assert find_spot(at_camera) == pytest.approx((u, v), abs=tolerance)
+    angle = np.radians(heading_deg)
+    expected = u + 15 / SPAN_M * np.sin(angle), v - 15 / SPAN_M * np.cos(angle)
+    at_ahead = cut_tile(paint_spot(1280, *ahead), heading, shift, turn_deg)
+    assert find_spot(at_ahead) == pytest.approx(expected, abs=tolerance)
+
+
+@pytest.mark.parametrize("augment", [False, True])
+@pytest.mark.parametrize("part", ["train", "test"])
+def test_the_ground_image_is_what_the_crop_shows_from_the_pose(
+    make_kitti_tree, tmp_path, sample_view, true_colours, part, augment
+):
+    tree = make_kitti_tree(tmp_path, pairs=3)
+    dataset = open_kitti(tmp_path, part, aerial_size=512, ground_size=(64, 128), augment=augment)
+    across = 2 * (np.arange(128) + 0.5) / 128 - 1
+    half = np.tan(np.radians(dataset.hfov_deg / 2))
+    azimuth_deg = np.degrees(np.arctan(across * half))
+    ranges = 40.0 / SPAN_M * (1 - (np.arange(64) + 0.5) / 64)
+    assert dataset.hfov_deg == pytest.approx(tree.hfov_deg)
+    for index in range(3):
+        sample = dataset[index]
+        u, v, heading_deg = sample["pose"].numpy()
+        tile, ground = denormalise(sample["aerial"]), denormalise(sample["ground"]).astype(int)
+        seen = sample_view(tile, (u, v), heading_deg + azimuth_deg, ranges)
+        # Where rays leave the crop, the tree painted what lies further out in the tile.
+        inside = ~np.all(seen == 128, axis=2)
+        assert inside.mean() > 0.4
+        assert np.abs(seen - ground)[inside].mean() < 8
+        wrong = sample_view(tile, (u, v), heading_deg + 5 + azimuth_deg, ranges)
+        assert np.abs(wrong - ground)[inside].mean() > 10
+
+
+def test_the_paper_s_sizes_are_the_defaults(make_kitti_tree, tmp_path):
+    make_kitti_tree(tmp_path, pairs=1)
+    dataset = KittiDataset(KittiConfig(root=tmp_path), "test")
+    sample = dataset[0]
+    assert sample["ground"].shape == (3, 256, 1024)
+    assert sample["aerial"].shape == (3, 512, 512)
+    assert sample["metres_per_pixel"] == pytest.approx(METRES_PER_PIXEL, rel=1e-12)
+    assert dataset.projection == "pinhole"
+    assert open_kitti(tmp_path)[0]["metres_per_pixel"] == pytest.approx(8 * METRES_PER_PIXEL)
+
+
+@pytest.mark.parametrize(("prior", "reach"), [(10, 10), (0, 0), (None, 180), (180, 180)])
+def test_test_poses_follow_their_file(make_kitti_tree, tmp_path, prior, reach):
+    tree = make_kitti_tree(tmp_path, pairs=3, tile_pixels=8, ground_size=(5, 16))
+    dataset = open_kitti(tmp_path, "test", heading_prior_deg=prior)
+    assert dataset.heading_prior_deg == (None if reach == 180 else (90.0, float(prior)))
+    for index, (sx, sy, theta) in enumerate(tree.tests):
+        t = np.radians(theta * reach)
+        right = 20 * (sx * np.cos(t) - sy * np.sin(t))
+        up = 20 * (sx * np.sin(t) + sy * np.cos(t))
+        expected = [0.5 + right / SPAN_M, 0.5 - up / SPAN_M, (90 - theta * reach) % 360]
+        assert dataset.pose(index).tolist() == pytest.approx(expected, abs=1e-12)
+    dataset.set_epoch(7)
+    assert dataset.pose(2).tolist() == pytest.approx(expected, abs=1e-12)
+
+
+def test_both_test_files_can_be_chosen(make_kitti_tree, tmp_path):
+    tree = make_kitti_tree(tmp_path, pairs=2)
+    (tmp_path / "test2_files.txt").write_text(f"{tree.frames[1]} 1 -0.5 0")
+    assert open_kitti(tmp_path, "test").names == tree.frames
+    cross = open_kitti(tmp_path, "test", test="test2", heading_prior_deg=10)
+    assert cross.names == [tree.frames[1]]
+    assert cross.poses().tolist() == [[0.5 + 20 / SPAN_M, 0.5 + 10 / SPAN_M, 90.0]]
+    with pytest.raises(DatasetError, match="test is 'test3'; it must be one of test1, test2"):
+        open_kitti(tmp_path, "test", test="test3")
+
+
+def test_split_files_may_lie_elsewhere(make_kitti_tree, tmp_path):
+    make_kitti_tree(tmp_path / "data", pairs=2)
+    (tmp_path / "lists").mkdir()
+    (tmp_path / "data" / "train_files.txt").rename(tmp_path / "lists" / "train_files.txt")
+    assert len(open_kitti(tmp_path / "data", splits=tmp_path / "lists")) == 2
+    with pytest.raises(
+        DatasetError, match=r"train_files\.txt: the split file is missing; .* splits"
+    ):
+        open_kitti(tmp_path / "data")
+
+
+def test_training_draws_shift_and_turn_anew(make_kitti_tree, tmp_path):
+    make_kitti_tree(tmp_path, pairs=8, tile_pixels=8, ground_size=(5, 16))
+    dataset = open_kitti(tmp_path, heading_prior_deg=10)
+    poses = []
+    for epoch in range(20):
+        dataset.set_epoch(epoch)
+        poses.append(dataset.poses())
+    again = open_kitti(tmp_path, heading_prior_deg=10)
+    again.set_epoch(19)
+    assert np.array_equal(again.poses(), poses[19])
+    u, v, heading_deg = np.concatenate(poses).T
+    assert len(np.unique(u)) == 160
+    # Undo the turn: along and across the heading, up to 20 m.
+    t = np.radians(90 - heading_deg)
+    right, up = (u - 0.5) * SPAN_M, (0.5 - v) * SPAN_M
+    along = right * np.cos(t) + up * np.sin(t)
+    across = up * np.cos(t) - right * np.sin(t)
+    for drawn, reach in ((along, 20), (across, 20), (heading_deg - 90, 10)):
+        assert -reach <= drawn.min() < -0.9 * reach
+        assert 0.9 * reach < drawn.max() <= reach
+
+
+def test_validation_is_drawn_once(make_kitti_tree, tmp_path):
+    tree = make_kitti_tree(tmp_path, pairs=8, tile_pixels=8, ground_size=(5, 16))
+    validation = open_kitti(tmp_path, "validation", validation_fraction=0.25)
+    train = open_kitti(tmp_path, "train", validation_fraction=0.25)
+    assert sorted(validation.names + train.names) == tree.frames
+    before = validation.poses()
+    validation.set_epoch(3)
+    assert np.array_equal(validation.poses(), before)
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("test1_files.txt", f"{DRIVE}/0000000001.png 0.1 0.2"),
+        ("test1_files.txt", f"{DRIVE}/0000000001.png"),
+        ("test1_files.txt", f"{DRIVE}/0000000001.png 0.1 0.2 1.5"),
+        ("test1_files.txt", f"{DRIVE}/0000000001.png 0.1 nan 0.5"),
+        ("test1_files.txt", f"{DRIVE}/0000000001.png 0.1 left 0.5"),
+        ("train_files.txt", f"{DRIVE}/0000000001.png 0.1 0.2 0.5"),
+        ("train_files.txt", "0000000001.png"),
+        ("train_files.txt", f"{DRIVE}/0000000001.txt"),
+    ],
+)
+def test_a_line_that_is_no_sample_is_named(make_kitti_tree, tmp_path, name, line):
+    make_kitti_tree(tmp_path, pairs=1)
+    text = (tmp_path / name).read_text()
+    (tmp_path / name).write_text(text + line + "\n")
+    with pytest.raises(DatasetError, match=rf"{name}, line 2: .* is no sample"):
+        open_kitti(tmp_path, name.split("_")[0].rstrip("1"))
+
+
+def write_calib(root, date, text):
+    path = root / "raw_data" / date / "calib_cam_to_cam.txt"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_field_of_view_of_the_calibration_file(tmp_path):
+    """The five days of KITTI: widths and focal lengths differ, the field of view hardly does."""
+    for width, focal, hfov_deg in (
+        (1242, 721.5377, 81.44),
+        (1224, 707.0493, 81.76),
+        (1238, 718.3351, 81.50),
+        (1226, 707.0912, 81.85),
+        (1241, 718.8560, 81.60),
+    ):
+        text = f"S_rect_02: {width}e+00 370\nP_rect_02: {focal:e} 0 609 44 0 721 172 0.2 0 0 1 0\n"
+        assert read_hfov_deg(write_calib(tmp_path, "day", text)) == pytest.approx(
+            hfov_deg, abs=0.011
+        )
+    path = write_calib(tmp_path, "day", "P_rect_02: 721.5377 0 0 0\n")
+    assert read_hfov_deg(path) == pytest.approx(81.44, abs=0.01)
+
+
+def test_field_of_view_of_a_tree(make_kitti_tree, tmp_path):
+    make_kitti_tree(tmp_path / "without", pairs=1, calib=False)
+    assert open_kitti(tmp_path / "without").hfov_deg == 81.5
+    tree = make_kitti_tree(tmp_path / "with", pairs=1)
+    assert open_kitti(tree.root).hfov_deg == pytest.approx(81.44, abs=0.01)
+    for day, focal in (("2011_09_29", 700.0), ("2011_09_30", 710.0)):
+        write_calib(tree.root, day, f"P_rect_02: {focal} 0 0 0\n")
+    # The median of the days, whatever the part.
+    expected = np.degrees(2 * np.arctan(621 / 710))
+    for part in ("train", "test"):
+        assert open_kitti(tree.root, part).hfov_deg == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("S_rect_02: 1242 375\n", "no focal length"),
+        ("P_rect_02: \n", "no focal length"),
+        ("P_rect_02: wide\n", "no focal length"),
+        ("P_rect_02: nan 0\n", "field of view of nan"),
+        ("S_rect_02: -5 1\nP_rect_02: 700 0\n", "expected 81.4 to 81.8"),
+        ("", "the calibration file is empty"),
+    ],
+)
+def test_a_broken_calibration_file_is_named(make_kitti_tree, tmp_path, text, message):
+    make_kitti_tree(tmp_path, pairs=1)
+    path = write_calib(tmp_path, "2011_09_26", text)
+    with pytest.raises(DatasetError, match=message) as error:
+        open_kitti(tmp_path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "content", [None, "", "1 2 3 4 5", "1 2 3 4 5 east", "1 2 3 4 5 inf", b"\xff\xfe"]
+)
+def test_a_broken_oxts_file_is_named(make_kitti_tree, tmp_path, content):
+    make_kitti_tree(tmp_path, pairs=1)
+    path = tmp_path / "raw_data" / DRIVE / "oxts" / "data" / "0000000000.txt"
+    if content is None:
+        path.unlink()
+    else:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(SampleError) as error:
+        open_kitti(tmp_path)[0]
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("folder", "size"),
+    [("satmap", (512, 511 - 20)), ("satmap", (400, 400)), ("image_02", (1024, 256))],
+    ids=["not square", "smaller than the crop", "resized already"],
+)
+def test_an_oddly_sized_image_is_named(make_kitti_tree, tmp_path, folder, size):
+    make_kitti_tree(tmp_path, pairs=1)
+    (path,) = (file for file in tmp_path.rglob("*.png") if folder in str(file))
+    Image.new("RGB", size).save(path)
+    with pytest.raises(ImageError) as error:
+        open_kitti(tmp_path)[0]
+    assert str(path) in str(error.value)
+    assert f"{size[0]}x{size[1]} pixels" in str(error.value)

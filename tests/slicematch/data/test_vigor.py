@@ -1,0 +1,448 @@
+"""VIGOR: each trap of its labels, panoramas and cities, on trees in its own format."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from slicematch.data import DatasetError, ImageError, VigorConfig, VigorDataset, denormalise
+from slicematch.data.vigor import CITIES, read_labels
+from slicematch.evaluation.metrics import candidate_floor
+from torch.utils.data import DataLoader
+
+from slicemask import PoseGrid
+
+SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
+REAL = Path(__file__).parents[4] / "shared" / "data" / "vigor_labels"
+QUARTER = (0.25, 0.25, 0.75, 0.75)
+
+
+def open_vigor(root, part="train", **settings):
+    return VigorDataset(VigorConfig(root=root, **{**SMALL, **settings}), part)
+
+
+def label_file(root, name, city="Chicago"):
+    return Path(root) / "splits__corrected" / city / f"{name}__corrected.txt"
+
+
+def write_label(root, d0, d1):
+    """Let the training file hold one pair at d0, d1; returns its tile's path."""
+    path = label_file(root, "same_area_balanced_train")
+    fields = path.read_text().split("\n")[0].split(" ")
+    fields[2:4] = str(d0), str(d1)
+    path.write_text(" ".join(fields))
+    return Path(root) / "Chicago" / "satellite" / fields[1]
+
+
+def test_the_paper_s_sizes_are_the_defaults(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=2)
+    dataset = VigorDataset(VigorConfig(root=tmp_path, cities=("Chicago",)), "test")
+    sample = dataset[0]
+    assert sample["ground"].shape == (3, 320, 640)
+    assert sample["aerial"].shape == (3, 512, 512)
+    assert (dataset.hfov_deg, dataset.projection, dataset.aerial_size) == (
+        360.0,
+        "equirectangular",
+        512,
+    )
+
+
+def test_pairs_of_the_files_as_published(make_vigor_tree, tmp_path):
+    """Names with commas, 13 fields, and a last line without its newline."""
+    tree = make_vigor_tree(tmp_path, pairs=3)
+    text = label_file(tmp_path, "same_area_balanced_train").read_text()
+    assert not text.endswith("\n")
+    dataset = open_vigor(tmp_path, cities=("Chicago",))
+    assert dataset.names == [f"Chicago/{panorama}" for panorama, *_ in tree.labels["Chicago"]]
+    assert "," in dataset.names[0]
+    for index, (_, _, d0, d1) in enumerate(tree.labels["Chicago"]):
+        expected = [(320 - d1) / 640, (320 + d0) / 640]
+        assert dataset[index]["pose"][:2].tolist() == expected
+    label_file(tmp_path, "same_area_balanced_train").write_text(text + "\n")
+    assert len(open_vigor(tmp_path, cities=("Chicago",))) == 3
+
+
+def test_the_place_in_the_tile_is_320_plus_d0_down_and_320_minus_d1_across(
+    make_vigor_tree, tmp_path
+):
+    make_vigor_tree(tmp_path, pairs=1, tile_pixels=640)
+    tile_file = write_label(tmp_path, 100.0, -60.0)
+    tile = np.zeros((640, 640, 3), dtype=np.uint8)
+    tile[320 + 100 - 8 : 320 + 100 + 8, 320 + 60 - 8 : 320 + 60 + 8] = 255
+    Image.fromarray(tile).save(tile_file)
+    sample = open_vigor(tmp_path, cities=("Chicago",))[0]
+    shown = denormalise(sample["aerial"])[..., 0].astype(float)
+    v, u = [
+        (shown.sum(axis=1 - axis) * (np.arange(64) + 0.5)).sum() / shown.sum() / 64
+        for axis in (0, 1)
+    ]
+    assert sample["pose"][:2].tolist() == pytest.approx([u, v], abs=1e-3)
+    assert sample["pose"][:2].tolist() == [380 / 640, 420 / 640]
+
+
+def test_places_are_not_rounded(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=1)
+    write_label(tmp_path, 100.37, -60.81)
+    expected = [0.5 + 60.81 / 640, 0.5 + 100.37 / 640]
+    assert open_vigor(tmp_path, cities=("Chicago",)).poses()[0, :2] == pytest.approx(
+        expected, abs=1e-15
+    )
+
+
+@pytest.mark.parametrize("labels", ["corrected", "original"])
+def test_only_the_labels_asked_for_are_opened(make_vigor_tree, tmp_path, labels):
+    make_vigor_tree(tmp_path, pairs=2)
+    folder = {"corrected": "splits__corrected", "original": "splits"}[labels]
+    other = {"corrected": "splits", "original": "splits__corrected"}[labels]
+    shutil.rmtree(tmp_path / other)
+    assert len(open_vigor(tmp_path, labels=labels, cities=("Chicago",))) == 2
+    (tmp_path / folder).rename(tmp_path / other)
+    with pytest.raises(DatasetError, match="the label file is missing"):
+        open_vigor(tmp_path, labels=labels, cities=("Chicago",))
+
+
+def test_corrected_labels_are_the_default_and_the_message_names_the_choice(
+    make_vigor_tree, tmp_path
+):
+    make_vigor_tree(tmp_path, pairs=2)
+    corrected = open_vigor(tmp_path, cities=("Chicago",)).poses()
+    original = open_vigor(tmp_path, cities=("Chicago",), labels="original").poses()
+    assert np.array_equal(
+        corrected, open_vigor(tmp_path, cities=("Chicago",), labels="corrected").poses()
+    )
+    assert np.abs(corrected - original).max() > 1 / 640
+    shutil.rmtree(tmp_path / "splits__corrected")
+    with pytest.raises(DatasetError, match=r"\(--labels original\), which are up to 3 m"):
+        open_vigor(tmp_path, cities=("Chicago",))
+
+
+@pytest.mark.parametrize(
+    ("edit", "line"),
+    [
+        (lambda line: line + " more", 2),
+        (lambda line: line.rsplit(" ", 1)[0], 2),
+        (lambda line: line.replace(" ", "  ", 1), 2),
+        (lambda line: " ".join([*line.split(" ")[:2], "here", *line.split(" ")[3:]]), 2),
+        (lambda line: " ".join([*line.split(" ")[:2], "nan", *line.split(" ")[3:]]), 2),
+        (lambda line: "", 2),
+    ],
+    ids=["14 fields", "12 fields", "double space", "no number", "nan", "blank"],
+)
+def test_a_line_that_is_no_label_is_named(make_vigor_tree, tmp_path, edit, line):
+    make_vigor_tree(tmp_path, pairs=3)
+    path = label_file(tmp_path, "same_area_balanced_train")
+    lines = path.read_text().split("\n")
+    lines[line - 1] = edit(lines[line - 1])
+    path.write_text("\n".join(lines))
+    with pytest.raises(DatasetError, match=rf"corrected\.txt, line {line}: .* is no label"):
+        open_vigor(tmp_path, cities=("Chicago",))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n\n", b"\xff\xfe\x00"], ids=["empty", "blank", "binary"]
+)
+def test_a_label_file_without_labels_is_named(make_vigor_tree, tmp_path, content):
+    make_vigor_tree(tmp_path, pairs=1)
+    label_file(tmp_path, "same_area_balanced_train").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"same_area_balanced_train__corrected\.txt: the label"):
+        open_vigor(tmp_path, cities=("Chicago",))
+
+
+@pytest.mark.parametrize(
+    ("d0", "d1", "kept"),
+    [(320, 0, 1), (-320, 320, 1), (320.5, 0, 0), (0, -321, 0), (-321, 5, 0)],
+)
+def test_cameras_off_the_tile_are_left_out_and_counted(make_vigor_tree, tmp_path, d0, d1, kept):
+    make_vigor_tree(tmp_path, pairs=2)
+    path = label_file(tmp_path, "same_area_balanced_train")
+    first, second = path.read_text().split("\n")
+    fields = second.split(" ")
+    fields[2:4] = str(d0), str(d1)
+    path.write_text(f"{first}\n{' '.join(fields)}")
+    dataset = open_vigor(tmp_path, cities=("Chicago",))
+    assert (len(dataset), dataset.left_out) == (1 + kept, 1 - kept)
+    assert np.all((dataset.poses()[:, :2] >= 0) & (dataset.poses()[:, :2] <= 1))
+
+
+def test_same_area_trains_and_tests_in_every_city(make_vigor_tree, tmp_path):
+    tree = make_vigor_tree(tmp_path, pairs=2, test_pairs=1, cities=CITIES)
+    train, test = open_vigor(tmp_path), open_vigor(tmp_path, "test")
+    assert (len(train), len(test)) == (8, 4)
+    assert [name.split("/")[0] for name in test.names] == list(CITIES)
+    assert test.names == [f"{city}/{tree.labels[city][2][0]}" for city in CITIES]
+    assert not set(train.names) & set(test.names)
+
+
+def test_cross_area_uses_whole_cities(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=2, test_pairs=1, cities=CITIES)
+    train = open_vigor(tmp_path, split="cross-area")
+    test = open_vigor(tmp_path, "test", split="cross-area")
+    assert [name.split("/")[0] for name in train.names] == ["NewYork"] * 3 + ["Seattle"] * 3
+    assert [name.split("/")[0] for name in test.names] == ["SanFrancisco"] * 3 + ["Chicago"] * 3
+
+
+def test_cities_are_chosen_among_those_of_the_split(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=2, cities=("Seattle",))
+    assert len(open_vigor(tmp_path, cities=("Seattle",))) == 2
+    assert len(open_vigor(tmp_path, cities=("Seattle", "Chicago"), split="cross-area")) == 2
+    with pytest.raises(
+        DatasetError, match="the test part of the cross-area split has SanFrancisco"
+    ):
+        open_vigor(tmp_path, "test", cities=("Seattle",), split="cross-area")
+    with pytest.raises(DatasetError, match="city is 'Boston'; it must be one of NewYork"):
+        open_vigor(tmp_path, cities=("Boston",))
+    with pytest.raises(
+        DatasetError,
+        match=r"NewYork.*label file is missing; .* cities that are there \(--cities Seattle\)",
+    ):
+        open_vigor(tmp_path)
+
+
+def test_metres_per_pixel_differ_by_city_and_scale_with_the_size(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=1, cities=CITIES)
+    at_640 = {
+        "NewYork": 0.113248,
+        "Seattle": 0.100817,
+        "SanFrancisco": 0.118141,
+        "Chicago": 0.111262,
+    }
+    for size in (64, 512):
+        dataset = open_vigor(tmp_path, aerial_size=size)
+        for index, city in enumerate(CITIES):
+            found = dataset[index]["metres_per_pixel"]
+            assert found == pytest.approx(at_640[city] * 640 / size, rel=1e-12)
+            assert dataset.tile_metres[index] == pytest.approx(at_640[city] * 640, rel=1e-12)
+
+
+def test_labels_outside_a_candidate_extent_are_counted(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=1)
+    for d0, d1, outside in ((160, -160, 0), (161, 0, 1), (0, 160.5, 1)):
+        write_label(tmp_path, d0, d1)
+        dataset = open_vigor(tmp_path, cities=("Chicago",))
+        assert dataset.count_outside(QUARTER) == outside
+        assert dataset.count_outside((0, 0, 1, 1)) == 0
+        corner = d0 * d1 != 0
+        assert dataset.count_outside((0, 0, 1, 1), place_prior=(0.5, 0.5, 0.3)) == corner
+
+
+@pytest.mark.parametrize("augment", [False, True])
+def test_the_ground_image_is_what_the_tile_shows_from_the_pose(
+    make_vigor_tree, tmp_path, sample_view, true_colours, augment
+):
+    """The tree paints with north at the centre; the loader has turned it to the heading."""
+    make_vigor_tree(tmp_path, pairs=4)
+    dataset = open_vigor(
+        tmp_path, cities=("Chicago",), aerial_size=320, ground_size=(64, 128), augment=augment
+    )
+    azimuth_deg = 360 * ((np.arange(128) + 0.5) / 128 - 0.5)
+    ranges = 0.5 * (1 - (np.arange(64) + 0.5) / 64)
+    for index in range(4):
+        sample = dataset[index]
+        u, v, heading_deg = sample["pose"].numpy()
+        tile, ground = denormalise(sample["aerial"]), denormalise(sample["ground"]).astype(int)
+
+        def mismatch(turned_deg, tile=tile, ground=ground, place=(u, v)):
+            seen = sample_view(tile, place, turned_deg + azimuth_deg, ranges)
+            return np.abs(seen - ground).mean()
+
+        turns = np.arange(-40, 41, 1.0)
+        best = turns[np.argmin([mismatch(heading_deg + turn) for turn in turns])]
+        assert abs(best) <= 1
+        assert mismatch(heading_deg) < 8 < mismatch(-heading_deg)
+
+
+def test_augmenting_shows_all_eight_symmetries_and_keeps_a_known_heading(
+    make_vigor_tree, tmp_path, true_colours
+):
+    make_vigor_tree(tmp_path, pairs=1)
+    plain, augmented, again, aligned = (
+        open_vigor(tmp_path, cities=("Chicago",), augment=augment, heading_prior_deg=prior)
+        for augment, prior in ((False, None), (True, None), (True, None), (True, 0))
+    )
+    images, places, known = set(), set(), set()
+    for epoch in range(60):
+        for dataset in (plain, augmented, again, aligned):
+            dataset.set_epoch(epoch)
+        assert np.array_equal(augmented.pose(0), again.pose(0))
+        images.add(augmented[0]["aerial"].numpy().tobytes())
+        places.add(tuple(augmented.pose(0)[:2].round(9)))
+        u, v, heading_deg = aligned.pose(0)
+        assert heading_deg == 0
+        known.add((round(u, 9), round(v, 9)))
+    assert len(images) == len(places) == 8
+    u, v, _ = plain.pose(0)
+    assert known == {(round(u, 9), round(v, 9)), (round(1 - u, 9), round(v, 9))}
+    test = open_vigor(tmp_path, "test", cities=("Chicago",), augment=True)
+    assert np.array_equal(test.pose(0)[:2], plain.pose(0)[:2])
+
+
+@pytest.mark.parametrize(
+    ("settings", "places"),
+    [
+        # Kept: everything; the mirroring that the centre line allows; the half turn; nothing.
+        ({"place_prior": (0.5, 0.5, 0.4)}, 8),
+        ({"place_prior": (0.3, 0.5, 0.4)}, 2),
+        ({"place_prior": (0.3, 0.3, 0.4)}, 2),
+        ({"place_prior": (0.3, 0.4, 0.4)}, 1),
+        ({"extent": (0.1, 0.1, 0.9, 0.9)}, 8),
+        ({"extent": (0.1, 0.0, 0.9, 1.0)}, 4),
+        ({"extent": (0.0, 0.0, 0.5, 1.0)}, 2),
+        ({"extent": (0.0, 0.0, 0.5, 1.0), "heading_prior_deg": 0}, 1),
+        ({"extent": (0.0, 0.0, 0.5, 1.0), "place_prior": (0.2, 0.4, 0.4)}, 1),
+    ],
+)
+def test_augmenting_keeps_true_places_among_the_candidates(
+    make_vigor_tree, tmp_path, settings, places
+):
+    make_vigor_tree(tmp_path, pairs=1)
+    write_label(tmp_path, 41, 90)  # a place on no axis of the tile, inside all of the above
+    dataset = open_vigor(tmp_path, cities=("Chicago",), augment=True, **settings)
+    found = set()
+    for epoch in range(60):
+        dataset.set_epoch(epoch)
+        assert dataset.count_outside(dataset.config.extent, None, dataset.config.place_prior) == 0
+        found.add(tuple(dataset.pose(0)[:2].round(9)))
+    assert len(found) == places
+
+
+def test_unknown_headings_are_drawn_anew_each_epoch_and_reproducibly(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=16)
+    dataset, again = (open_vigor(tmp_path, cities=("Chicago",)) for _ in range(2))
+    epochs = []
+    for epoch in range(3):
+        dataset.set_epoch(epoch)
+        epochs.append(dataset.poses()[:, 2])
+    assert len(np.unique(epochs)) > 40
+    assert np.min(epochs) < 60
+    assert np.max(epochs) > 300
+    again.set_epoch(2)  # as after a resume
+    assert np.array_equal(again.poses()[:, 2], epochs[2])
+    other = open_vigor(tmp_path, cities=("Chicago",), seed=1)
+    assert not np.array_equal(other.poses()[:, 2], epochs[0])
+    # Whole columns of a panorama: rolling it by them is exact.
+    assert np.array_equal(np.array(epochs) * 2048 / 360 % 1, np.zeros((3, 16)))
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn"])
+def test_worker_processes_follow_the_epoch(make_vigor_tree, tmp_path, context):
+    make_vigor_tree(tmp_path, pairs=6)
+    dataset = open_vigor(tmp_path, cities=("Chicago",))
+    loader = DataLoader(
+        dataset,
+        batch_size=2,
+        num_workers=2,
+        persistent_workers=True,
+        multiprocessing_context=context,
+    )
+    for epoch in (0, 1):
+        dataset.set_epoch(epoch)
+        loaded = np.concatenate([batch["pose"].numpy() for batch in loader])
+        assert np.array_equal(loaded, dataset.poses())
+
+
+def test_validation_and_test_keep_their_headings(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=8, cities=("Seattle", "Chicago"))
+    for part in ("validation", "test"):
+        dataset = open_vigor(tmp_path, part, cities=("Seattle", "Chicago"), validation_fraction=0.5)
+        before = dataset.poses()
+        dataset.set_epoch(5)
+        assert np.array_equal(dataset.poses(), before)
+        assert len(np.unique(before[:, 2])) > 6
+    # A sample keeps its heading whatever else is tested with it.
+    assert np.array_equal(open_vigor(tmp_path, "test", cities=("Chicago",)).poses(), before[8:])
+
+
+def test_a_known_heading_is_north(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=4, panorama_size=(32, 64))
+    for part in ("train", "test"):
+        dataset = open_vigor(tmp_path, part, cities=("Chicago",), heading_prior_deg=0)
+        assert dataset.heading_prior_deg == (0.0, 0.0)
+        assert dataset.poses()[:, 2].tolist() == [0.0] * 4
+    panorama = tmp_path / "Chicago" / "panorama" / dataset.names[0].split("/", 1)[1]
+    with Image.open(panorama) as image:
+        assert np.array_equal(denormalise(dataset[0]["ground"]), np.asarray(image))
+
+
+def test_a_heading_prior_bounds_the_turn_to_both_sides(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=32, panorama_size=(8, 16), tile_pixels=8)
+    dataset = open_vigor(tmp_path, cities=("Chicago",), heading_prior_deg=20)
+    assert dataset.heading_prior_deg == (0.0, 20.0)
+    headings = (dataset.poses()[:, 2] + 180) % 360 - 180
+    assert np.abs(headings).max() <= 20
+    assert headings.min() < -10
+    assert headings.max() > 10
+    for unknown in (None, 180):
+        assert (
+            open_vigor(tmp_path, cities=("Chicago",), heading_prior_deg=unknown).heading_prior_deg
+            is None
+        )
+
+
+def test_validation_is_a_seeded_share_of_the_training_file(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=20, panorama_size=(8, 16), tile_pixels=8)
+
+    def names(part, seed=0):
+        settings = {"cities": ("Chicago",), "validation_fraction": 0.25, "seed": seed}
+        return open_vigor(tmp_path, part, **settings).names
+
+    train, validation = names("train"), names("validation")
+    assert (len(train), len(validation)) == (15, 5)
+    assert sorted(train + validation) == names("test")  # the same pairs, all of them
+    assert validation == names("validation")
+    assert validation != names("validation", seed=1)
+    with pytest.raises(DatasetError, match=r"the validation part .* holds no sample"):
+        open_vigor(tmp_path, "validation", cities=("Chicago",), validation_fraction=0.0)
+
+
+@pytest.mark.parametrize(("folder", "size"), [("panorama", (200, 120)), ("satellite", (64, 50))])
+def test_an_oddly_shaped_image_is_named(make_vigor_tree, tmp_path, folder, size):
+    make_vigor_tree(tmp_path, pairs=1)
+    (path,) = (tmp_path / "Chicago" / folder).iterdir()
+    Image.new("RGB", size).save(path)
+    with pytest.raises(ImageError) as error:
+        open_vigor(tmp_path, cities=("Chicago",))[0]
+    assert str(path) in str(error.value)
+    assert f"{size[0]}x{size[1]} pixels" in str(error.value)
+
+
+@pytest.fixture
+def real_chicago(tmp_path):
+    if not REAL.is_dir():
+        pytest.skip(f"the real VIGOR labels are not at {REAL}")
+    (tmp_path / "splits__corrected").symlink_to(REAL, target_is_directory=True)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("part", "count"), [("train", 12_740), ("test", 12_739)])
+def test_the_real_chicago_labels_read_whole(real_chicago, part, count):
+    dataset = open_vigor(real_chicago, part, cities=("Chicago",))
+    assert (len(dataset), dataset.left_out) == (count, 0)
+    assert len(set(dataset.names)) == count
+
+
+def test_the_real_chicago_labels_reach_beyond_the_central_quarter(real_chicago):
+    extremes, outside = [], 0
+    for part in ("train", "test"):
+        labels = read_labels(label_file(real_chicago, f"same_area_balanced_{part}"))
+        extremes.append(np.abs(labels.offsets).max())
+        dataset = open_vigor(real_chicago, part, cities=("Chicago",))
+        outside += dataset.count_outside(QUARTER)
+        assert dataset.count_outside((0, 0, 1, 1)) == 0
+    assert max(extremes) == 165
+    assert outside > 0
+
+
+@pytest.mark.parametrize(
+    ("grid", "mean", "median"), [("21x21x64", 1.26, 1.30), ("64x64x64", 0.42, 0.45)]
+)
+def test_the_floor_of_grids_on_real_labels(real_chicago, grid, mean, median):
+    """Near the figures for three cities; a tile of Chicago is about as large as theirs."""
+    dataset = open_vigor(real_chicago, "test", cities=("Chicago",))
+    floor = candidate_floor(PoseGrid.parse(grid).poses(), dataset.poses(), dataset.tile_metres)
+    summary = floor.summary()
+    assert summary["place_mean_m"] == pytest.approx(mean, rel=0.05)
+    assert summary["place_median_m"] == pytest.approx(median, rel=0.05)
+    # Headings k * 360/64: at most 2.8125 degrees off, half that in the mean.
+    assert floor.heading_deg.max() <= 2.8125
+    assert summary["heading_mean_deg"] == pytest.approx(1.406, abs=0.03)

@@ -1,0 +1,131 @@
+"""Encoders from timm: stages, weights, and what is said when they cannot be had."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from slicematch.errors import ConfigError, WeightsError
+from slicematch.network.encoders import Encoder
+from slicematch.network.slicematch import SliceMatch
+
+import timm  # isort: skip  after the model's modules
+
+
+@pytest.mark.parametrize(
+    ("name", "channels"),
+    [
+        ("vgg16", 512),
+        ("resnet50", 1024),
+        ("test_convnext", 48),
+        ("test_vit", 64),  # built for one image size
+        ("swin_tiny_patch4_window7_224", 384),  # gives [B, H, W, C]
+    ],
+)
+def test_encoders_give_a_map_of_stride_16(name, channels):
+    encoder = Encoder(name, (64, 128), stride=16, weights="none").eval()
+    assert (encoder.channels, encoder.feature_size) == (channels, (4, 8))
+    with torch.no_grad():
+        assert encoder(torch.zeros(2, 3, 64, 128)).shape == (2, channels, 4, 8)
+
+
+def test_vgg16_ends_before_its_last_pooling():
+    encoder = Encoder("vgg16", (32, 32), weights="none")
+    kinds = [type(layer).__name__ for layer in encoder.backbone.children()]
+    assert kinds.count("MaxPool2d") == 4
+    assert kinds[-1] == "ReLU"
+    assert kinds.count("Conv2d") == 13
+
+
+@pytest.mark.parametrize("stride", [4, 8, 32])
+def test_any_stride_of_the_encoder(stride):
+    encoder = Encoder("test_resnet", (64, 128), stride=stride, weights="none")
+    assert encoder.feature_size == (64 // stride, 128 // stride)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"name": "vgg61"}, "'vgg61' is no timm model"),
+        ({"name": "hf-hub:someone/something"}, "'hf-hub:someone/something' is no timm model"),
+        ({"name": "resnet10t", "stride": 6}, "no stage of stride 6; it has 2, 4, 8, 16, 32"),
+        ({"name": "test_vit", "image_size": (20, 20)}, "20x20 pixels"),
+    ],
+)
+def test_encoders_that_cannot_be(settings, said):
+    with pytest.raises(ConfigError, match=said):
+        Encoder(**{"image_size": (64, 64), "weights": "none", **settings})
+
+
+@pytest.mark.parametrize("suffix", [".safetensors", ".pth"])
+def test_weights_from_a_file(tmp_path, suffix):
+    source = timm.create_model("test_resnet", pretrained=False)
+    path = tmp_path / f"weights{suffix}"
+    if suffix == ".pth":
+        torch.save(source.state_dict(), path)
+    else:
+        save_file(source.state_dict(), path)
+    encoder = Encoder("test_resnet", (64, 64), weights=path)
+    torch.testing.assert_close(encoder.backbone.conv1[0].weight, source.conv1[0].weight)
+    with torch.no_grad():
+        images = torch.randn(1, 3, 64, 64)
+        stages = source.eval().forward_intermediates(images, intermediates_only=True)
+        torch.testing.assert_close(encoder.eval()(images), stages[3])
+
+
+def test_weights_of_another_encoder(tmp_path):
+    path = tmp_path / "weights.safetensors"
+    save_file(timm.create_model("test_convnext").state_dict(), path)
+    with pytest.raises(WeightsError, match=r"does not fit encoder 'test_resnet'"):
+        Encoder("test_resnet", (64, 64), weights=path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not weights", b"\x80\x04\x95"])
+@pytest.mark.parametrize("name", ["weights.pth", "weights.safetensors"])
+def test_files_that_are_no_weights(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(WeightsError, match=name):
+        Encoder("test_resnet", (64, 64), weights=path)
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(WeightsError, match=r"nowhere.pth: there is no such file"):
+        Encoder("test_resnet", (64, 64), weights=tmp_path / "nowhere.pth")
+
+
+def test_weights_are_read_without_running_what_they_hold(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "sprung"),)
+
+    torch.save({"conv1.weight": Trap()}, tmp_path / "weights.pth")
+    with pytest.raises(WeightsError, match=r"weights.pth"):
+        Encoder("test_resnet", (64, 64), weights=tmp_path / "weights.pth")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_without_a_model_hub_it_says_what_to_do(tmp_path):
+    code = (
+        "from slicematch.network.encoders import Encoder\n"
+        "from slicematch.errors import WeightsError\n"
+        "try:\n"
+        "    Encoder('vgg16', (32, 32))\n"
+        "except WeightsError as error:\n"
+        "    print(error)\n"
+    )
+    offline = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=offline, capture_output=True, text=True, check=True
+    )
+    assert "cannot be had from the model hub" in done.stdout
+    assert "'none'" in done.stdout
+    assert len(done.stdout.splitlines()) == 1
+
+
+def test_ground_and_aerial_weights_are_not_shared():
+    model = SliceMatch("test_resnet", "none", (64, 128), 64, slices=4)
+    ground = {id(p) for p in model.ground_encoder.parameters()}
+    assert ground.isdisjoint({id(p) for p in model.aerial_encoder.parameters()})
