@@ -20,19 +20,19 @@ _COMMANDS = {
     "info": ("bank", "Say what a bank holds."),
     "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
     "visualize": ("bank", "Draw the slices of a pose: of BANK, of the newest bank, or of --at."),
-    "synth": ("data", "Generate a city with exact poses, in VIGOR's or KITTI's on-disk format."),
-    "train": ("model", "Train SliceMatch; the paper's settings are the defaults."),
+    "synth": ("synth", "Generate a city with exact poses, in VIGOR's or KITTI's on-disk format."),
+    "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
     "evaluate": (
-        "model",
+        "evaluate",
         "Measure the errors of a trained RUN, and what the candidate grid alone costs.",
     ),
     "calibrate": (
-        "model",
+        "train",
         "Fit what makes scores of RUN probabilities, on its validation part; training does so too.",
     ),
-    "predict": ("model", "Find where a ground image was taken, with a trained RUN."),
+    "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
     "benchmark": (
-        "model",
+        "evaluate",
         "Time encoding, aggregation and scoring: of a trained RUN, or of the settings given.",
     ),
 }

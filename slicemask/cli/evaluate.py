@@ -1,0 +1,118 @@
+"""Commands that measure: evaluate and benchmark."""
+
+from typing import Any
+
+import click
+
+from slicemask.cli.options import (
+    Numbers,
+    as_json_option,
+    cache_option,
+    frustum_options,
+    given_options,
+)
+from slicemask.cli.output import print_result, progress_bar
+from slicemask.cli.run_options import (
+    check_model_installed,
+    device_option,
+    precision_option,
+    refine_option,
+    root_option,
+    run_options,
+    workers_option,
+)
+
+
+@click.command()
+@run_options
+@click.option(
+    "--split",
+    type=click.Choice(["same-area", "cross-area"]),
+    help="Where the part lies.  [default: the run's]",
+)
+@click.option(
+    "--part",
+    type=click.Choice(["test", "validation", "train"]),
+    default="test",
+    show_default=True,
+    help="Part of the data set.",
+)
+@root_option
+@click.option("--limit", type=int, help="Only so many samples, spread evenly.  [default: all]")
+@click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
+@click.option("--overwrite", is_flag=True, help="Replace results that are there.")
+@workers_option
+@refine_option
+@as_json_option
+def evaluate(run: str, as_json: bool, **options: Any) -> None:
+    """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
+    check_model_installed()
+    from slicematch.evaluation.evaluate import evaluate
+
+    with progress_bar("evaluating", "samples") as progress:
+        evaluation, folder = evaluate(run, progress=progress, **given_options(options))
+    text = f"{evaluation.report()}\nresults in {folder}"
+    print_result(as_json, {**evaluation.summary(), "folder": str(folder)}, text)
+
+
+@click.command()
+@click.argument("run", required=False)
+@click.option("--grid", metavar="RxCxH", help="Candidates.  [default: 21x21x64, or the run's]")
+@frustum_options
+@click.option("--encoder", default="vgg16", show_default=True, help="timm backbone.")
+@click.option("--weights", default="none", show_default=True, help="imagenet, none or a file.")
+@click.option("--stride", type=int, default=16, show_default=True, help="Of the feature maps.")
+@click.option(
+    "--ground-size",
+    type=Numbers("height,width", int),
+    default="320,640",
+    show_default=True,
+    help="Pixels.",
+)
+@click.option(
+    "--aerial-size", type=int, default=512, show_default=True, help="Pixels along each side."
+)
+@click.option("--batch-size", type=int, default=1, show_default=True, help="Pairs at once.")
+@click.option(
+    "--runs", type=int, default=5, show_default=True, help="Repetitions; their median counts."
+)
+@device_option
+@precision_option
+@cache_option
+@as_json_option
+@click.pass_context
+def benchmark(
+    ctx: click.Context,
+    run: str | None,
+    grid: str | None,
+    device: str,
+    precision: str,
+    cache: str | None,
+    batch_size: int,
+    runs: int,
+    as_json: bool,
+    **settings: Any,
+) -> None:
+    """Time encoding, aggregation and scoring: of a trained RUN, or of the settings given."""
+    check_model_installed()
+    from slicematch.evaluation.timing import time_run, time_settings
+
+    shared = {
+        "device": device,
+        "precision": precision,
+        "cache": cache,
+        "batch_size": batch_size,
+        "runs": runs,
+    }
+    if run is not None:
+        for name in settings:
+            if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+                raise click.UsageError(f"--{name.replace('_', '-')} cannot be changed in a run.")
+        timings = time_run(run, grid=grid, **shared)
+    else:
+        settings["hfov_deg"] = settings.pop("hfov")
+        with progress_bar("building", "poses") as progress:
+            timings = time_settings(
+                grid=grid or "21x21x64", **settings, **shared, progress=progress
+            )
+    print_result(as_json, timings.as_dict(), timings.report())

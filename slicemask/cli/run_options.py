@@ -1,0 +1,73 @@
+"""The RUN argument, and the options that commands on a run share."""
+
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from slicemask.cli.options import cache_option
+
+# As in `slicematch.devices.Precision`, which takes torch's time to import.
+PRECISIONS = click.Choice(["32-true", "16-mixed", "bf16-mixed"])
+
+run_argument = click.argument("run")
+grid_option = click.option(
+    "--grid", metavar="RxCxH", help="Candidates.  [default: the run's test grid]"
+)
+checkpoint_option = click.option(
+    "--checkpoint", type=click.Choice(["best", "last"]), default="best", show_default=True
+)
+device_option = click.option(
+    "--device", default="auto", show_default=True, help="auto, cpu, cuda[:N]."
+)
+precision_option = click.option(
+    "--precision",
+    type=PRECISIONS,
+    default="32-true",
+    show_default=True,
+    help="Of the encoders; what follows them is float32. 16-mixed: GPUs only.",
+)
+root_option = click.option(
+    "--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]"
+)
+workers_option = click.option(
+    "--workers", type=int, help="Processes that load images.  [default: the run's]"
+)
+_RUN_OPTIONS = (
+    run_argument,
+    grid_option,
+    click.option("--bank", metavar="FILE", help="A bank of candidates instead."),
+    checkpoint_option,
+    device_option,
+    precision_option,
+    cache_option,
+)
+
+
+refine_option = click.option(
+    "--refine",
+    type=click.Choice(["none", "mean", "fine", "continuous"]),
+    help="The best candidate, the mean of those around it, coarse to fine around the best ones, "
+    "or that and then gradients.  [default: mean]",
+)
+
+
+def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add RUN and the options of commands that use one."""
+    for option in reversed(_RUN_OPTIONS):
+        command = option(command)
+    return command
+
+
+def check_model_installed() -> None:
+    """Refuse the command, with what to install, where packages of the model are missing."""
+    missing = [
+        name
+        for name in ("torch", "timm", "lightning", "pyproj", "safetensors", "tensorboard", "yaml")
+        if importlib.util.find_spec(name) is None
+    ]
+    if missing:
+        raise click.ClickException(
+            f"this command needs {', '.join(missing)}; install: pip install 'slicemask[model]'"
+        )
