@@ -139,6 +139,12 @@ class BandedGroundAggregator(nn.Module):
         The bands.
     """
 
+    waves: Tensor
+    fractions: Tensor
+    values: nn.Parameter | None
+    weight_directions: nn.Parameter | None
+    weight_offsets: nn.Parameter | None
+
     def __init__(self, channels: int, slices: int, rows: int, bands: RangeBands) -> None:
         super().__init__()
         self.slices = slices
@@ -155,13 +161,12 @@ class BandedGroundAggregator(nn.Module):
         else:
             self.attention = Attention(channels)
             self.register_buffer("fractions", fractions, persistent=False)
-        self.values = (
-            nn.Parameter(torch.eye(channels).repeat(count, 1, 1)) if (bands.value_maps) else None
-        )
-        self.weight_directions = (
-            nn.Parameter(torch.zeros(count, channels)) if (bands.weights) else None
-        )
-        self.weight_offsets = nn.Parameter(torch.zeros(count)) if bands.weights else None
+        self.values = self.weight_directions = self.weight_offsets = None
+        if bands.value_maps:
+            self.values = nn.Parameter(torch.eye(channels).repeat(count, 1, 1))
+        if bands.weights:
+            self.weight_directions = nn.Parameter(torch.zeros(count, channels))
+            self.weight_offsets = nn.Parameter(torch.zeros(count))
 
     def forward(self, features: Tensor) -> Tensor:
         """Ground descriptors d_g^{n,b}.
@@ -180,7 +185,7 @@ class BandedGroundAggregator(nn.Module):
         """
         with torch.autocast(features.device.type, enabled=False):
             d = unit(self._means(features))  # [S, N, B, C]
-            if self.weight_directions is not None:
+            if self.weight_directions is not None and self.weight_offsets is not None:
                 d = (
                     d
                     * ((d * self.weight_directions).sum(-1) + self.weight_offsets).exp()[..., None]

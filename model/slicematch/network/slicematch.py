@@ -101,7 +101,7 @@ class SliceMatch(nn.Module):
             encoder.precision = check_precision(precision, device)
             # Convolutions with channels last take less time, VGG16's three quarters on a CPU.
             # Not so in training: the order of its sums, and so its results, would change.
-            encoder.to(memory_format=torch.channels_last)
+            encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return self.eval().to(device)
 
     def encode_ground(self, images: Tensor) -> Tensor:

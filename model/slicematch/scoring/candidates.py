@@ -11,7 +11,14 @@ from torch import Tensor
 from slicemask import Bank
 from slicematch.errors import ConfigError
 from slicematch.evaluation.metrics import in_place_prior, turn_deg
-from slicematch.scoring.plan import PoolingPlan, SharedPlan, as_means, plan_pooling, plan_shared
+from slicematch.scoring.plan import (
+    Masks,
+    PoolingPlan,
+    SharedPlan,
+    as_means,
+    plan_pooling,
+    plan_shared,
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,7 @@ class Candidates:
 
     poses: np.ndarray
     index: Tensor
-    masks: tuple[Tensor, Tensor, Tensor]
+    masks: Masks
     cells: int
     shape: tuple[int, ...]
     grid_index: Tensor
@@ -49,11 +56,14 @@ class Candidates:
         # 32-bit indices: half the memory, and faster products, where the count allows them.
         # A little less than they reach, for loops that step past the end.
         integer = np.int32 if csr.nnz < 2**31 - 2**10 else np.int64
-        masks = (csr.indptr.astype(integer), csr.indices.astype(integer), csr.data)
+        starts, cells, fractions = (
+            torch.from_numpy(np.ascontiguousarray(part))
+            for part in (csr.indptr.astype(integer), csr.indices.astype(integer), csr.data)
+        )
         return cls(
             poses=poses,
             index=torch.from_numpy(index.reshape(*index.shape[:2], -1)),
-            masks=as_means(tuple(torch.from_numpy(np.ascontiguousarray(part)) for part in masks)),
+            masks=as_means((starts, cells, fractions)),
             cells=bank.spec.cells,
             shape=(len(poses),) if grid is None else grid.shape,
             grid_index=torch.arange(len(poses)),
@@ -61,10 +71,11 @@ class Candidates:
 
     def to(self, device: torch.device | str) -> "Candidates":
         """Return the same candidates on another device."""
+        starts, cells, weights = (part.to(device) for part in self.masks)
         return replace(
             self,
             index=self.index.to(device),
-            masks=tuple(part.to(device) for part in self.masks),
+            masks=(starts, cells, weights),
             grid_index=self.grid_index.to(device),
         )
 
@@ -94,8 +105,8 @@ class Candidates:
             centre, half_width = _numbers("heading prior", heading_prior_deg, 2)
             keep &= np.abs(turn_deg(self.poses[:, 2], centre)) <= half_width + 1e-9
         if place_prior is not None:
-            prior = _numbers("place prior", place_prior, 3)
-            keep &= in_place_prior(self.poses[:, 0], self.poses[:, 1], prior)
+            u, v, radius = _numbers("place prior", place_prior, 3)
+            keep &= in_place_prior(self.poses[:, 0], self.poses[:, 1], (u, v, radius))
         if not keep.any():
             raise ConfigError(
                 f"no candidate pose agrees with heading prior {heading_prior_deg} (centre, half "

@@ -86,7 +86,7 @@ def _launch(
 
 
 @triton.jit
-def _pool(
+def _pool(  # type: ignore[no-untyped-def]
     rows,
     starts,
     cells,

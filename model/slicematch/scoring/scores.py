@@ -13,6 +13,8 @@ Shapes: S pairs, C channels, N slices, B bands of range (1 where there are none)
 aerial cells. Descriptors and attention maps come as [S, N * B, ...], slice by slice.
 """
 
+from functools import partial
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
@@ -77,17 +79,25 @@ def score_candidates(
         shared = attention.shape[1] == 1 and slices * bands > 1
         if not shared:
             attention = attention.unflatten(1, (slices, bands))
-        sums = features.new_zeros(len(features), len(candidates.poses), 2)
-        for b, plan in enumerate(candidates.shared_plans if shared else candidates.plans):
-            maps = (attention if shared else attention[:, :, b]).mT.contiguous()
-            pool = pool_shared if shared else pool_by_slice
-            sums = sums + torch.stack(
+        dots = features.new_zeros(len(features), len(candidates.poses))
+        present = dots
+        for b in range(bands):
+            if shared:
+                shared_plan = candidates.shared_plans[b]
+                slot, maps = shared_plan.slot, attention.mT.contiguous()
+                pool = partial(pool_shared, shared_plan)
+            else:
+                plan = candidates.plans[b]
+                slot, maps = plan.slot, attention[:, :, b].mT.contiguous()
+                pool = partial(pool_by_slice, plan)
+            sums = torch.stack(
                 [
-                    F.embedding_bag(plan.slot, pool(plan, *pair, values_at_once), mode="sum")
+                    F.embedding_bag(slot, pool(*pair, values_at_once), mode="sum")
                     for pair in zip(ground[:, :, b], features, maps, strict=True)
                 ]
-            )
-        return cosine(*sums.unbind(dim=-1), ground.flatten(1))
+            )  # [S, K, 2]
+            dots, present = dots + sums[..., 0], present + sums[..., 1]
+        return cosine(dots, present, ground.flatten(1))
 
 
 def score_masks(ground: Tensor, features: Tensor, attention: Tensor, masks: Tensor) -> Tensor:
