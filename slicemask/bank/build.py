@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from slicemask._version import __version__
 from slicemask.bank.batches import GridSource, ListSource, PoseSource
-from slicemask.bank.cache import bank_path, made_folder
-from slicemask.bank.lock import only_builder
+from slicemask.bank.cache import bank_path, ensure_cache_dir
+from slicemask.bank.lock import build_lock
 from slicemask.bank.read import open_bank
-from slicemask.bank.rows import cut, in_order, mask_rows
+from slicemask.bank.rows import map_ordered, mask_rows, split_by_size
 from slicemask.bank.seal import has_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.write import BankWriter
@@ -32,7 +32,7 @@ from slicemask.geometry.distinct import (
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, engine_fractions
 from slicemask.geometry.poses import PoseGrid, check_poses
-from slicemask.shield import Check, shielded
+from slicemask.interrupts import CancelCheck, run_cancellable
 from slicemask.threads import thread_count
 
 # Slices that a batch may have, and values of their masks: what bounds memory.
@@ -131,20 +131,20 @@ def build_bank(
         source = ListSource(checked)
     path = bank_path(spec, out, cache)
 
-    def build(check: Check) -> BuildResult:
+    def build(check: CancelCheck) -> BuildResult:
         # A bank that is there needs no lock, nor a folder that may be written to.
         rows = None if force else _reusable_rows(path, spec, force=False)
         if rows is not None:
             return BuildResult(path, reused=True, rows=rows)
         # A second builder waits here, and then finds the bank.
-        with made_folder(path.parent), only_builder(path, check):
+        with ensure_cache_dir(path.parent), build_lock(path, check):
             rows = _reusable_rows(path, spec, force)
             if rows is not None:
                 return BuildResult(path, reused=True, rows=rows)
             return BuildResult(path, False, _build(path, spec, source, jobs, progress, check))
 
     try:
-        return shielded(build)
+        return run_cancellable(build)
     except BankError:
         raise
     except (OSError, RuntimeError) as error:  # h5py raises both
@@ -204,7 +204,7 @@ def _build(
     source: PoseSource,
     jobs: int,
     progress: Progress | None,
-    check: Check,
+    check: CancelCheck,
 ) -> int:
     """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
@@ -220,12 +220,12 @@ def _build(
         if progress:
             progress(0, total)
         # Enough waits for every thread to find work while the oldest results are written.
-        for share, parts in in_order(compute, pieces, pool, 2 * jobs + 8):
+        for fraction_done, parts in map_ordered(compute, pieces, pool, 2 * jobs + 8):
             check()
             for rows in parts:
                 writer.add_rows(rows.counts, rows.indices, rows.data)
             if progress:
-                progress(round(share * total), total)
+                progress(round(fraction_done * total), total)
         writer.finish(index, source.pieces())
     return writer.rows
 
@@ -256,36 +256,37 @@ def _pieces(
 ) -> Iterator[tuple[float, Images]]:
     """Distinct slices whose masks are the bank's rows, in order and in pieces; fills the index.
 
-    With each piece comes the share of the work that is done after it, in [0, 1].
+    With each piece comes the fraction of the work that is done after it, in [0, 1].
     """
     slices = spec.frustum.slices
     most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
     rows, found, done = 0, 0, 0.0
-    loose: list[Loose] = []
-    loose_at: list[NDArray[np.int64]] = []
+    unanchored: list[Loose] = []
+    unanchored_at: list[NDArray[np.int64]] = []
     for batch in source.batches(max(1, most // slices)):
         distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, spec.frustum)
         number = distinct.slice_of
-        tied = number >= 0
-        placed = np.where(tied, rows + number, number - found)  # loose: -1 - a number among all
+        anchored = number >= 0
+        # An unanchored slice is -1 minus its number among all batches' until its row is known.
+        placed = np.where(anchored, rows + number, number - found)
         index[batch.pose] = placed
         if len(distinct.loose.shape):
-            pose, n = np.nonzero(~tied)
-            loose_at.append(batch.pose[pose] * slices + n)
-            loose.append(distinct.loose)
+            pose, n = np.nonzero(~anchored)
+            unanchored_at.append(batch.pose[pose] * slices + n)
+            unanchored.append(distinct.loose)
             found += len(distinct.loose.shape)
         wedges = distinct.wedges
         rows += len(wedges.sector)
-        for piece in cut(wedges, spec.cells):
-            done += np.count_nonzero(tied) * len(piece.sector) / len(wedges.sector) / index.size
+        for piece in split_by_size(wedges, spec.cells):
+            done += np.count_nonzero(anchored) * len(piece.sector) / len(wedges.sector) / index.size
             yield done, piece
-    if loose:
-        images, row = distinct_loose(Loose.joined(loose))
+    if unanchored:
+        images, row = distinct_loose(Loose.joined(unanchored))
         flat = index.reshape(-1)
-        at = np.concatenate(loose_at)
+        at = np.concatenate(unanchored_at)
         flat[at] = rows + row[-1 - flat[at]]
         rest = 1.0 - done
-        for piece in cut(images, spec.cells):
+        for piece in split_by_size(images, spec.cells):
             done += rest * len(piece.sector) / len(images.sector)
             yield done, piece
 

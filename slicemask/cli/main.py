@@ -11,7 +11,7 @@ import click
 
 from slicemask._version import __version__
 from slicemask.errors import SlicemaskError
-from slicemask.shield import exit_on_signals
+from slicemask.interrupts import exit_on_signals
 
 # Where each command lives, and its line in the list of commands, so that listing them imports
 # none: `slicemask --help` answers in 0.1 s, and NumPy and h5py alone take as long.

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from slicemask.shield import shielded
+from slicemask.interrupts import run_cancellable
 
 
 @pytest.fixture(autouse=True)
@@ -19,9 +19,9 @@ def plain_interrupts():
 
 
 def test_the_work_s_result_and_its_error_come_out():
-    assert shielded(lambda check: 5) == 5
+    assert run_cancellable(lambda check: 5) == 5
     with pytest.raises(ZeroDivisionError):
-        shielded(lambda check: 1 / 0)
+        run_cancellable(lambda check: 1 / 0)
 
 
 def test_an_interrupt_is_raised_when_the_work_has_stopped():
@@ -38,7 +38,7 @@ def test_an_interrupt_is_raised_when_the_work_has_stopped():
             ended.append(True)
 
     with pytest.raises(KeyboardInterrupt):
-        shielded(work)
+        run_cancellable(work)
     assert ended == [True]
 
 
@@ -59,7 +59,7 @@ def test_more_interrupts_do_not_end_the_wait():
 
     for _ in range(5):
         with pytest.raises(KeyboardInterrupt):
-            shielded(work)
+            run_cancellable(work)
     assert ended == [True] * 5
 
 
@@ -70,7 +70,7 @@ def test_an_interrupt_that_comes_too_late_is_raised_all_the_same():
         return 5
 
     with pytest.raises(KeyboardInterrupt):
-        shielded(work)
+        run_cancellable(work)
 
 
 def test_no_interrupt_is_lost_on_the_way_into_the_wait():
@@ -87,13 +87,13 @@ def test_no_interrupt_is_lost_on_the_way_into_the_wait():
 
     for _ in range(200):
         with pytest.raises(KeyboardInterrupt):
-            shielded(work)
+            run_cancellable(work)
     assert not late
 
 
 def test_it_works_away_from_the_main_thread():
     results = []
-    thread = threading.Thread(target=lambda: results.append(shielded(lambda check: 5)))
+    thread = threading.Thread(target=lambda: results.append(run_cancellable(lambda check: 5)))
     thread.start()
     thread.join()
     assert results == [5]
@@ -110,7 +110,7 @@ def test_a_signal_waits_until_an_import_is_done(tmp_path):
     )
     code = (
         "import time\n"
-        "from slicemask.shield import exit_on_signals\n"
+        "from slicemask.interrupts import exit_on_signals\n"
         "exit_on_signals()\n"
         "import swallows\n"
         "print('imported', flush=True)\n"

@@ -19,26 +19,26 @@ from types import FrameType
 from typing import TypeVar
 
 # How long a signal waits before it looks again whether an import is done.
-_AGAIN_S = 0.05
+_IMPORT_RETRY_S = 0.05
 # How long this thread waits for the work at a time. A signal that strikes between Python's last
 # look for signals and the wait is not seen before the wait is over.
-_WAIT_S = 0.1
+_POLL_S = 0.1
 # How long after a signal others do nothing: they may come together, and the second before anyone
 # has heard of the first. Not for ever, for a library may swallow the first.
-_CALM_S = 1.0
-_struck_s = -math.inf
+_IGNORE_REPEATS_S = 1.0
+_last_signal_s = -math.inf
 
-# Called wherever work may be stopped; raises `Stopped` there once it is to stop.
-Check = Callable[[], None]
+# Called wherever work may be stopped; raises `Cancelled` there once it is to stop.
+CancelCheck = Callable[[], None]
 
 _Result = TypeVar("_Result")
 
 
-class Stopped(Exception):  # noqa: N818 - no error
+class Cancelled(Exception):  # noqa: N818 - no error
     """The work was asked to stop."""
 
 
-def shielded(work: Callable[[Check], _Result]) -> _Result:
+def run_cancellable(work: Callable[[CancelCheck], _Result]) -> _Result:
     """Give what the work gives, done on a thread of its own.
 
     An exception that strikes this thread meanwhile, as Ctrl-C or a signal's handler does, is raised
@@ -47,7 +47,7 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
     Parameters
     ----------
     work : callable
-        Called with a `Check`.
+        Called with a `CancelCheck`.
     """
     results: list[_Result] = []
     errors: list[BaseException] = []
@@ -58,7 +58,7 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
 
     def check() -> None:
         if stopping:
-            raise Stopped
+            raise Cancelled
 
     def run() -> None:
         begin.acquire()
@@ -73,11 +73,11 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
     threading.Thread(target=run, daemon=True).start()
     try:
         begin.release()
-        while not ended.acquire(timeout=_WAIT_S):
+        while not ended.acquire(timeout=_POLL_S):
             pass
     except BaseException:
         stopping = True
-        with _deaf():
+        with _signals_muted():
             if begin.locked():
                 begin.release()
             if not results and not errors:
@@ -89,7 +89,7 @@ def shielded(work: Callable[[Check], _Result]) -> _Result:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
+def _signals_muted() -> Iterator[None]:
     """Have signals do nothing: another Ctrl-C would leave the work alone while it stops.
 
     They get a handler, for an ignored signal would be ignored by processes started here, too.
@@ -114,25 +114,27 @@ def exit_on_signals() -> None:
 
     Of signals that come close together the first one counts.
     """
-    signal.signal(signal.SIGTERM, _outside_imports)
+    signal.signal(signal.SIGTERM, _raise_outside_imports)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored
-        signal.signal(signal.SIGINT, _outside_imports)
+        signal.signal(signal.SIGINT, _raise_outside_imports)
 
 
-def _outside_imports(number: int, frame: FrameType | None) -> None:
+def _raise_outside_imports(number: int, frame: FrameType | None) -> None:
     at = frame
     while at is not None:
         if at.f_code.co_filename.startswith("<frozen importlib"):
             # To this thread, the main one: another's would not wake it where it waits.
-            again = threading.Timer(_AGAIN_S, signal.pthread_kill, (threading.get_ident(), number))
+            again = threading.Timer(
+                _IMPORT_RETRY_S, signal.pthread_kill, (threading.get_ident(), number)
+            )
             again.daemon = True
             again.start()
             return
         at = at.f_back
-    global _struck_s
-    if time.monotonic() < _struck_s + _CALM_S:
+    global _last_signal_s
+    if time.monotonic() < _last_signal_s + _IGNORE_REPEATS_S:
         return
-    _struck_s = time.monotonic()
+    _last_signal_s = time.monotonic()
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     sys.exit(128 + number)
