@@ -1,11 +1,11 @@
-"""Ctrl-C that tears no step apart.
+"""Ctrl-C and SIGTERM that end work between two steps, never within one.
 
-Python raises KeyboardInterrupt in the main thread wherever that is: after a lock was taken and
-before the block that gives it back, in the midst of a call that HDF5 makes, while a thread starts.
-What must not end there runs on a thread of its own, which is asked to stop.
+Python raises KeyboardInterrupt in the main thread wherever that happens to be: after a lock was
+acquired and before the block that releases it, inside a call that HDF5 makes, while a thread is
+starting. Work that must not end there runs on a thread of its own, which is asked to stop.
 
-Imports cannot: many a library takes any exception for an optional part that is missing. Signals
-wait until they are done.
+Imports cannot be asked: many a library takes any exception for an optional dependency that is
+missing. Signals wait until the import is done.
 """
 
 import math
@@ -18,46 +18,54 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
 
-# How long a signal waits before it looks again whether an import is done.
-_IMPORT_RETRY_S = 0.05
-# How long this thread waits for the work at a time. A signal that strikes between Python's last
-# look for signals and the wait is not seen before the wait is over.
+# A signal that arrives between Python's last check for signals and the wait for the work is not
+# seen before that wait times out, so each wait is this short.
 _POLL_S = 0.1
-# How long after a signal others do nothing: they may come together, and the second before anyone
-# has heard of the first. Not for ever, for a library may swallow the first.
+# How long a signal waits before it checks again whether an import has finished.
+_IMPORT_RETRY_S = 0.05
+# `timeout` sends SIGTERM twice within microseconds, and the second one must not end the wait for
+# work that the first one is stopping. Later ones count, since a library may swallow the first.
 _IGNORE_REPEATS_S = 1.0
-_last_signal_s = -math.inf
 
-# Called wherever work may be stopped; raises `Cancelled` there once it is to stop.
+# Called wherever work may stop; raises `Cancelled` there once it should.
 CancelCheck = Callable[[], None]
 
 _Result = TypeVar("_Result")
+_Handler = Callable[[int, FrameType | None], None]
 
 
 class Cancelled(Exception):  # noqa: N818 - no error
-    """The work was asked to stop."""
+    """Raised by a `CancelCheck` in work that was asked to stop."""
 
 
 def run_cancellable(work: Callable[[CancelCheck], _Result]) -> _Result:
-    """Give what the work gives, done on a thread of its own.
-
-    An exception that strikes this thread meanwhile, as Ctrl-C or a signal's handler does, is raised
-    once the work has ended; signals that follow it do nothing.
+    """Run work on a thread of its own, so that an interrupt stops it only where it allows.
 
     Parameters
     ----------
     work : callable
-        Called with a `CancelCheck`.
+        Called with a `CancelCheck`, which it calls wherever it may stop.
+
+    Returns
+    -------
+    result
+        What the work returned.
+
+    Raises
+    ------
+    BaseException
+        What the work raised; or what struck this thread meanwhile, such as KeyboardInterrupt. The
+        latter is raised once the work has ended, and signals are ignored until then.
     """
     results: list[_Result] = []
     errors: list[BaseException] = []
     begin, ended = threading.Lock(), threading.Lock()
     begin.acquire()
     ended.acquire()
-    stopping = False
+    cancelled = False
 
     def check() -> None:
-        if stopping:
+        if cancelled:
             raise Cancelled
 
     def run() -> None:
@@ -76,7 +84,7 @@ def run_cancellable(work: Callable[[CancelCheck], _Result]) -> _Result:
         while not ended.acquire(timeout=_POLL_S):
             pass
     except BaseException:
-        stopping = True
+        cancelled = True
         with _signals_muted():
             if begin.locked():
                 begin.release()
@@ -89,52 +97,75 @@ def run_cancellable(work: Callable[[CancelCheck], _Result]) -> _Result:
 
 
 @contextmanager
-def _signals_muted() -> Iterator[None]:
-    """Have signals do nothing: another Ctrl-C would leave the work alone while it stops.
+def exit_on_signals() -> Iterator[None]:
+    """Within the block, let SIGTERM exit as Ctrl-C does: by an exception that cleans up.
 
-    They get a handler, for an ignored signal would be ignored by processes started here, too.
+    Neither strikes during an import, and of signals that follow each other closely only the first
+    one counts. Ctrl-C stays ignored where it was, as in jobs that a shell runs in the background.
+    The previous handlers are restored at the end. Other threads than the main one, which receives
+    all signals, change nothing.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On SIGINT.
+    SystemExit
+        On SIGTERM, with status 143, as shells report it.
     """
-    if threading.current_thread() is not threading.main_thread():  # signals strike that one only
+    numbers = [signal.SIGTERM]
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        numbers.append(signal.SIGINT)
+    last_s = -math.inf
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal last_s
+        if _is_importing(frame):
+            # To this thread, the main one: a signal to another would not wake it from a wait.
+            retry = threading.Timer(
+                _IMPORT_RETRY_S, signal.pthread_kill, (threading.get_ident(), number)
+            )
+            retry.daemon = True
+            retry.start()
+            return
+        if time.monotonic() < last_s + _IGNORE_REPEATS_S:
+            return
+        last_s = time.monotonic()
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        sys.exit(128 + number)
+
+    with _handled_by(handle, numbers):
+        yield
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+@contextmanager
+def _signals_muted() -> Iterator[None]:
+    """Ignore signals: another Ctrl-C would abandon the work while it stops.
+
+    They get a handler, since processes started here would inherit that a signal is ignored.
+    """
+    with _handled_by(lambda number, frame: None, [signal.SIGINT, signal.SIGTERM]):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: _Handler, numbers: list[signal.Signals]) -> Iterator[None]:
+    """Handle signals by a function within the block, and as before after it."""
+    if threading.current_thread() is not threading.main_thread():  # which alone may set handlers
         yield
         return
-    before = {
-        number: signal.signal(number, lambda number, frame: None)
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    previous = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            # None: one that was not set from Python, and cannot be set again from here.
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-def exit_on_signals() -> None:
-    """Have SIGTERM exit as Ctrl-C does, in order, and neither of them strike within an import.
-
-    Of signals that come close together the first one counts.
-    """
-    signal.signal(signal.SIGTERM, _raise_outside_imports)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored
-        signal.signal(signal.SIGINT, _raise_outside_imports)
-
-
-def _raise_outside_imports(number: int, frame: FrameType | None) -> None:
-    at = frame
-    while at is not None:
-        if at.f_code.co_filename.startswith("<frozen importlib"):
-            # To this thread, the main one: another's would not wake it where it waits.
-            again = threading.Timer(
-                _IMPORT_RETRY_S, signal.pthread_kill, (threading.get_ident(), number)
-            )
-            again.daemon = True
-            again.start()
-            return
-        at = at.f_back
-    global _last_signal_s
-    if time.monotonic() < _last_signal_s + _IGNORE_REPEATS_S:
-        return
-    _last_signal_s = time.monotonic()
-    if number == signal.SIGINT:
-        raise KeyboardInterrupt
-    sys.exit(128 + number)
+        for number, old in previous.items():
+            # None: set by something other than Python, which cannot set it again.
+            signal.signal(number, signal.SIG_DFL if old is None else old)

@@ -8,14 +8,10 @@ import threading
 import time
 
 import pytest
+from click.testing import CliRunner
 
-from slicemask.interrupts import run_cancellable
-
-
-@pytest.fixture(autouse=True)
-def plain_interrupts():
-    """Commands that ran in this process have left their own handler."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+from slicemask.cli.main import main
+from slicemask.interrupts import exit_on_signals, run_cancellable
 
 
 def test_the_work_s_result_and_its_error_come_out():
@@ -99,6 +95,67 @@ def test_it_works_away_from_the_main_thread():
     assert results == [5]
 
 
+def handlers():
+    return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+@pytest.mark.parametrize(
+    ("number", "error"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_signals_end_the_block_and_are_handled_as_before_after_it(number, error):
+    before = handlers()
+
+    def interrupted():
+        with exit_on_signals():
+            os.kill(os.getpid(), number)
+            time.sleep(10)
+
+    with pytest.raises(error):
+        interrupted()
+    assert handlers() == before
+    with exit_on_signals():
+        assert handlers() != before
+    assert handlers() == before
+
+
+def test_a_handler_of_the_caller_s_own_is_kept_and_restored():
+    def own(number, frame):
+        pass
+
+    outer = {number: signal.signal(number, own) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with exit_on_signals():
+            assert signal.getsignal(signal.SIGINT) is own
+        assert handlers() == [own, own]
+    finally:
+        for number, handler in outer.items():
+            signal.signal(number, handler)
+
+
+def test_a_command_leaves_the_handlers_of_its_caller(tmp_path):
+    before = handlers()
+    out = str(tmp_path / "bank.h5")
+    for arguments in (["build", "--grid", "1x1x2", "--out", out], ["info", "no.h5"]):
+        CliRunner().invoke(main, arguments)
+        assert handlers() == before
+
+
+def test_away_from_the_main_thread_handlers_are_left_alone():
+    errors = []
+
+    def run():
+        try:
+            with exit_on_signals():
+                pass
+        except ValueError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert errors == []
+
+
 def test_a_signal_waits_until_an_import_is_done(tmp_path):
     (tmp_path / "swallows.py").write_text(
         "import os, signal, time\n"
@@ -111,10 +168,10 @@ def test_a_signal_waits_until_an_import_is_done(tmp_path):
     code = (
         "import time\n"
         "from slicemask.interrupts import exit_on_signals\n"
-        "exit_on_signals()\n"
-        "import swallows\n"
-        "print('imported', flush=True)\n"
-        "time.sleep(60)\n"
+        "with exit_on_signals():\n"
+        "    import swallows\n"
+        "    print('imported', flush=True)\n"
+        "    time.sleep(60)\n"
     )
     ran = subprocess.run(
         [sys.executable, "-c", code],

@@ -35,15 +35,35 @@ from slicemask.geometry.poses import PoseGrid, check_poses
 from slicemask.interrupts import CancelCheck, run_cancellable
 from slicemask.threads import thread_count
 
-# Slices that a batch may have, and values of their masks: what bounds memory.
-_BATCH_VALUES = 1 << 26
-_BATCH_SLICES = 1 << 16
-# Bytes of an index that is held in memory, at most.
-_HELD_INDEX = 1 << 24
 # Bytes of a new file that are written at once.
 _ZEROS = 1 << 20
 
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class MemoryLimits:
+    """What bounds the memory of a build.
+
+    The bounds of a batch determine the order of the bank's rows, and so its bytes; the masks are
+    the same whatever they are.
+
+    Parameters
+    ----------
+    batch_slices : int
+        Slices in a batch, at most; more only if those of one place and its images are more.
+    batch_values : int
+        Cells of a batch's masks, at most.
+    index_bytes : int
+        Size of an index that is held in memory, at most; a larger one is kept in a file.
+    """
+
+    batch_slices: int = 1 << 16
+    batch_values: int = 1 << 26
+    index_bytes: int = 1 << 24
+
+
+_DEFAULT_LIMITS = MemoryLimits()
 
 
 @dataclass(frozen=True)
@@ -76,6 +96,7 @@ def build_bank(
     force: bool = False,
     jobs: int | None = None,
     progress: Progress | None = None,
+    limits: MemoryLimits = _DEFAULT_LIMITS,
 ) -> BuildResult:
     """Build the bank of poses' slice masks, or find it built.
 
@@ -104,6 +125,8 @@ def build_bank(
         Threads; as many as there are processors by default.
     progress : callable, optional
         Called with (poses done, poses in all) as the work goes on, from a thread of the build's.
+    limits : MemoryLimits, optional
+        What bounds memory.
 
     Returns
     -------
@@ -141,7 +164,9 @@ def build_bank(
             rows = _reusable_rows(path, spec, force)
             if rows is not None:
                 return BuildResult(path, reused=True, rows=rows)
-            return BuildResult(path, False, _build(path, spec, source, jobs, progress, check))
+            return BuildResult(
+                path, False, _build(path, spec, source, jobs, progress, limits, check)
+            )
 
     try:
         return run_cancellable(build)
@@ -204,6 +229,7 @@ def _build(
     source: PoseSource,
     jobs: int,
     progress: Progress | None,
+    limits: MemoryLimits,
     check: CancelCheck,
 ) -> int:
     """Build the bank and give its number of rows."""
@@ -214,9 +240,9 @@ def _build(
         after.callback(pool.shutdown, cancel_futures=True)
         # The engine is imported while the first slices are found. An error comes again with them.
         pool.submit(engine_fractions, spec.engine)
-        index = after.enter_context(_empty_index((total, slices), path.parent))
+        index = after.enter_context(_empty_index((total, slices), path.parent, limits))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
-        pieces = _pieces(source, spec, index)
+        pieces = _pieces(source, spec, index, limits)
         if progress:
             progress(0, total)
         # Enough waits for every thread to find work while the oldest results are written.
@@ -231,13 +257,15 @@ def _build(
 
 
 @contextlib.contextmanager
-def _empty_index(shape: tuple[int, int], folder: Path) -> Iterator[NDArray[np.int32]]:
+def _empty_index(
+    shape: tuple[int, int], folder: Path, limits: MemoryLimits
+) -> Iterator[NDArray[np.int32]]:
     """An index to be filled in batch by batch, out of order: in a file if it is large.
 
     The file has no name: it is gone with the process, and the system can page it out.
     """
     size = 4 * shape[0] * shape[1]
-    if size <= _HELD_INDEX:
+    if size <= limits.index_bytes:
         yield np.zeros(shape, dtype=np.int32)
         return
     import tempfile  # takes long to load
@@ -252,14 +280,14 @@ def _empty_index(shape: tuple[int, int], folder: Path) -> Iterator[NDArray[np.in
 
 
 def _pieces(
-    source: PoseSource, spec: BankSpec, index: NDArray[np.int32]
+    source: PoseSource, spec: BankSpec, index: NDArray[np.int32], limits: MemoryLimits
 ) -> Iterator[tuple[float, Images]]:
     """Distinct slices whose masks are the bank's rows, in order and in pieces; fills the index.
 
     With each piece comes the fraction of the work that is done after it, in [0, 1].
     """
     slices = spec.frustum.slices
-    most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
+    most = min(limits.batch_slices, max(1, limits.batch_values // spec.cells**2))
     rows, found, done = 0, 0, 0.0
     unanchored: list[Loose] = []
     unanchored_at: list[NDArray[np.int64]] = []

@@ -79,12 +79,12 @@ class _Group(click.Group):
             formatter.write_dl(rows)
 
     def invoke(self, ctx: click.Context) -> Any:
-        # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
-        exit_on_signals()
         # What was imported is no garbage at the end, either.
         gc.freeze()
         try:
-            return super().invoke(ctx)
+            # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
+            with exit_on_signals():
+                return super().invoke(ctx)
         except SlicemaskError as error:
             raise click.ClickException(str(error)) from error
         except (MemoryError, RuntimeError) as error:
