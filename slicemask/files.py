@@ -54,16 +54,16 @@ def check_folder(path: str | Path, error: type[SlicemaskError]) -> Path:
     path = Path(path)
     if fault := _fault(path):
         raise error(f"{path}: cannot be: {fault}; name another folder")
-    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
-    if not there.is_dir():
-        raise error(f"{there}: is no folder; name another one")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise error(f"{there}: may not be written to; name another folder")
+    existing = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    if not existing.is_dir():
+        raise error(f"{existing}: is no folder; name another one")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise error(f"{existing}: may not be written to; name another folder")
     return path
 
 
 @contextmanager
-def written_whole(
+def atomic_write(
     path: Path,
     error: type[SlicemaskError],
     remedy: str = _REMEDY,
@@ -87,8 +87,8 @@ def written_whole(
 
 
 def write_text(path: Path, text: str, error: type[SlicemaskError], remedy: str = _REMEDY) -> None:
-    """Write a text, UTF-8 and its line ends as they are, as `written_whole` does."""
-    with written_whole(path, error, remedy) as partial:
+    """Write a text, UTF-8 and its line ends as they are, as `atomic_write` does."""
+    with atomic_write(path, error, remedy) as partial:
         partial.write_text(text, encoding="utf-8", newline="")
 
 

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from slicemask.errors import OutputError, PlotError
-from slicemask.files import check_folder, check_target, write_text, written_whole
+from slicemask.files import atomic_write, check_folder, check_target, write_text
 
 
 def test_a_name_that_leaves_no_room_for_the_partial_one_is_refused_before_the_work(tmp_path):
@@ -52,7 +52,7 @@ def test_an_error_leaves_the_old_file_alone(tmp_path, error):
     path.write_text("old")
 
     def write():
-        with written_whole(path, OutputError) as partial:
+        with atomic_write(path, OutputError) as partial:
             partial.write_text("new")
             raise error
 

@@ -82,15 +82,15 @@ class GridSource:
             for number, code in enumerate(np.abs(codes).tolist()):
                 at.setdefault(code, []).append(number)
         distances = sorted({*column_at, *row_at})
-        for far in distances:
-            for near in distances:
-                if near > far:
+        for larger in distances:
+            for smaller in distances:
+                if smaller > larger:
                     break
                 orbit = [
                     row * columns + column
-                    for one, other in {(near, far), (far, near)}
-                    for row in row_at.get(other, ())
-                    for column in column_at.get(one, ())
+                    for p_distance, q_distance in {(smaller, larger), (larger, smaller)}
+                    for row in row_at.get(q_distance, ())
+                    for column in column_at.get(p_distance, ())
                 ]
                 if orbit:
                     yield np.array(sorted(orbit))
@@ -122,10 +122,10 @@ class ListSource:
         """Cut the poses into batches; see `PoseSource`."""
         u, v = self._poses[:, 0], self._poses[:, 1]
         p, q, _ = offset_codes(u, v)
-        near, far = np.minimum(np.abs(p), np.abs(q)), np.maximum(np.abs(p), np.abs(q))
-        order = np.lexsort((q, p, near, far))
-        turns = (np.diff(near[order]) != 0) | (np.diff(far[order]) != 0)
-        ends = np.append(np.flatnonzero(turns) + 1, len(order))  # of each orbit
+        smaller, larger = np.minimum(np.abs(p), np.abs(q)), np.maximum(np.abs(p), np.abs(q))
+        order = np.lexsort((q, p, smaller, larger))
+        starts_orbit = (np.diff(smaller[order]) != 0) | (np.diff(larger[order]) != 0)
+        ends = np.append(np.flatnonzero(starts_orbit) + 1, len(order))  # of each orbit
         start = 0
         while start < len(order):
             fits = int(np.searchsorted(ends, start + most_poses, side="right"))

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from slicemask._version import __version__
 from slicemask.bank.batches import GridSource, ListSource, PoseSource
-from slicemask.bank.cache import bank_path, made_folder
-from slicemask.bank.lock import only_builder
+from slicemask.bank.cache import bank_path, ensure_cache_dir
+from slicemask.bank.lock import build_lock
 from slicemask.bank.read import open_bank
-from slicemask.bank.rows import cut, in_order, mask_rows
+from slicemask.bank.rows import map_ordered, mask_rows, split_by_size
 from slicemask.bank.seal import has_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.write import BankWriter
@@ -32,18 +32,38 @@ from slicemask.geometry.distinct import (
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, engine_fractions
 from slicemask.geometry.poses import PoseGrid, check_poses
-from slicemask.shield import Check, shielded
+from slicemask.interrupts import CancelCheck, run_cancellable
 from slicemask.threads import thread_count
 
-# Slices that a batch may have, and values of their masks: what bounds memory.
-_BATCH_VALUES = 1 << 26
-_BATCH_SLICES = 1 << 16
-# Bytes of an index that is held in memory, at most.
-_HELD_INDEX = 1 << 24
 # Bytes of a new file that are written at once.
 _ZEROS = 1 << 20
 
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class MemoryLimits:
+    """What bounds the memory of a build.
+
+    The bounds of a batch determine the order of the bank's rows, and so its bytes; the masks are
+    the same whatever they are.
+
+    Parameters
+    ----------
+    batch_slices : int
+        Slices in a batch, at most; more only if those of one place and its images are more.
+    batch_values : int
+        Cells of a batch's masks, at most.
+    index_bytes : int
+        Size of an index that is held in memory, at most; a larger one is kept in a file.
+    """
+
+    batch_slices: int = 1 << 16
+    batch_values: int = 1 << 26
+    index_bytes: int = 1 << 24
+
+
+_DEFAULT_LIMITS = MemoryLimits()
 
 
 @dataclass(frozen=True)
@@ -76,6 +96,7 @@ def build_bank(
     force: bool = False,
     jobs: int | None = None,
     progress: Progress | None = None,
+    limits: MemoryLimits = _DEFAULT_LIMITS,
 ) -> BuildResult:
     """Build the bank of poses' slice masks, or find it built.
 
@@ -104,6 +125,8 @@ def build_bank(
         Threads; as many as there are processors by default.
     progress : callable, optional
         Called with (poses done, poses in all) as the work goes on, from a thread of the build's.
+    limits : MemoryLimits, optional
+        What bounds memory.
 
     Returns
     -------
@@ -131,20 +154,22 @@ def build_bank(
         source = ListSource(checked)
     path = bank_path(spec, out, cache)
 
-    def build(check: Check) -> BuildResult:
+    def build(check: CancelCheck) -> BuildResult:
         # A bank that is there needs no lock, nor a folder that may be written to.
         rows = None if force else _reusable_rows(path, spec, force=False)
         if rows is not None:
             return BuildResult(path, reused=True, rows=rows)
         # A second builder waits here, and then finds the bank.
-        with made_folder(path.parent), only_builder(path, check):
+        with ensure_cache_dir(path.parent), build_lock(path, check):
             rows = _reusable_rows(path, spec, force)
             if rows is not None:
                 return BuildResult(path, reused=True, rows=rows)
-            return BuildResult(path, False, _build(path, spec, source, jobs, progress, check))
+            return BuildResult(
+                path, False, _build(path, spec, source, jobs, progress, limits, check)
+            )
 
     try:
-        return shielded(build)
+        return run_cancellable(build)
     except BankError:
         raise
     except (OSError, RuntimeError) as error:  # h5py raises both
@@ -204,7 +229,8 @@ def _build(
     source: PoseSource,
     jobs: int,
     progress: Progress | None,
-    check: Check,
+    limits: MemoryLimits,
+    check: CancelCheck,
 ) -> int:
     """Build the bank and give its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
@@ -214,30 +240,32 @@ def _build(
         after.callback(pool.shutdown, cancel_futures=True)
         # The engine is imported while the first slices are found. An error comes again with them.
         pool.submit(engine_fractions, spec.engine)
-        index = after.enter_context(_empty_index((total, slices), path.parent))
+        index = after.enter_context(_empty_index((total, slices), path.parent, limits))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
-        pieces = _pieces(source, spec, index)
+        pieces = _pieces(source, spec, index, limits)
         if progress:
             progress(0, total)
         # Enough waits for every thread to find work while the oldest results are written.
-        for share, parts in in_order(compute, pieces, pool, 2 * jobs + 8):
+        for fraction_done, parts in map_ordered(compute, pieces, pool, 2 * jobs + 8):
             check()
             for rows in parts:
                 writer.add_rows(rows.counts, rows.indices, rows.data)
             if progress:
-                progress(round(share * total), total)
+                progress(round(fraction_done * total), total)
         writer.finish(index, source.pieces())
     return writer.rows
 
 
 @contextlib.contextmanager
-def _empty_index(shape: tuple[int, int], folder: Path) -> Iterator[NDArray[np.int32]]:
+def _empty_index(
+    shape: tuple[int, int], folder: Path, limits: MemoryLimits
+) -> Iterator[NDArray[np.int32]]:
     """An index to be filled in batch by batch, out of order: in a file if it is large.
 
     The file has no name: it is gone with the process, and the system can page it out.
     """
     size = 4 * shape[0] * shape[1]
-    if size <= _HELD_INDEX:
+    if size <= limits.index_bytes:
         yield np.zeros(shape, dtype=np.int32)
         return
     import tempfile  # takes long to load
@@ -252,40 +280,41 @@ def _empty_index(shape: tuple[int, int], folder: Path) -> Iterator[NDArray[np.in
 
 
 def _pieces(
-    source: PoseSource, spec: BankSpec, index: NDArray[np.int32]
+    source: PoseSource, spec: BankSpec, index: NDArray[np.int32], limits: MemoryLimits
 ) -> Iterator[tuple[float, Images]]:
     """Distinct slices whose masks are the bank's rows, in order and in pieces; fills the index.
 
-    With each piece comes the share of the work that is done after it, in [0, 1].
+    With each piece comes the fraction of the work that is done after it, in [0, 1].
     """
     slices = spec.frustum.slices
-    most = min(_BATCH_SLICES, max(1, _BATCH_VALUES // spec.cells**2))
+    most = min(limits.batch_slices, max(1, limits.batch_values // spec.cells**2))
     rows, found, done = 0, 0, 0.0
-    loose: list[Loose] = []
-    loose_at: list[NDArray[np.int64]] = []
+    unanchored: list[Loose] = []
+    unanchored_at: list[NDArray[np.int64]] = []
     for batch in source.batches(max(1, most // slices)):
         distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, spec.frustum)
         number = distinct.slice_of
-        tied = number >= 0
-        placed = np.where(tied, rows + number, number - found)  # loose: -1 - a number among all
+        anchored = number >= 0
+        # An unanchored slice is -1 minus its number among all batches' until its row is known.
+        placed = np.where(anchored, rows + number, number - found)
         index[batch.pose] = placed
         if len(distinct.loose.shape):
-            pose, n = np.nonzero(~tied)
-            loose_at.append(batch.pose[pose] * slices + n)
-            loose.append(distinct.loose)
+            pose, n = np.nonzero(~anchored)
+            unanchored_at.append(batch.pose[pose] * slices + n)
+            unanchored.append(distinct.loose)
             found += len(distinct.loose.shape)
         wedges = distinct.wedges
         rows += len(wedges.sector)
-        for piece in cut(wedges, spec.cells):
-            done += np.count_nonzero(tied) * len(piece.sector) / len(wedges.sector) / index.size
+        for piece in split_by_size(wedges, spec.cells):
+            done += np.count_nonzero(anchored) * len(piece.sector) / len(wedges.sector) / index.size
             yield done, piece
-    if loose:
-        images, row = distinct_loose(Loose.joined(loose))
+    if unanchored:
+        images, row = distinct_loose(Loose.joined(unanchored))
         flat = index.reshape(-1)
-        at = np.concatenate(loose_at)
+        at = np.concatenate(unanchored_at)
         flat[at] = rows + row[-1 - flat[at]]
         rest = 1.0 - done
-        for piece in cut(images, spec.cells):
+        for piece in split_by_size(images, spec.cells):
             done += rest * len(piece.sector) / len(images.sector)
             yield done, piece
 

@@ -23,8 +23,8 @@ def bank_path(
 ) -> Path:
     """Where a bank goes: ``out``, or a name that says what it holds, in the cache folder.
 
-    Only ``./masks_cache`` may be missing (see `made_folder`): a misspelt name should not become a
-    folder.
+    Only ``./masks_cache`` may be missing (see `ensure_cache_dir`): a misspelt name must not become
+    a folder.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def bank_path(
 
 
 @contextmanager
-def made_folder(folder: Path) -> Iterator[None]:
+def ensure_cache_dir(folder: Path) -> Iterator[None]:
     """Make the default cache folder if it is missing, and take it away again on failure."""
     missing = folder == Path(DEFAULT) and not folder.exists()
     if missing:

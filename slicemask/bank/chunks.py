@@ -22,7 +22,7 @@ FILTERS: dict[str, Any] = {
 }
 
 
-def stored(values: NDArray[Any]) -> bytes:
+def encode_chunk(values: NDArray[Any]) -> bytes:
     """Bytes of a whole chunk of values, any shape, as HDF5 stores it with `FILTERS`."""
     size = values.dtype.itemsize
     shuffled = np.empty((size, values.size), dtype=np.uint8)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import filelock
 
-from slicemask.shield import Check
+from slicemask.interrupts import CancelCheck
 
 log = logging.getLogger(__name__)
 
@@ -16,7 +16,7 @@ _POLL_S = 0.1
 
 
 @contextmanager
-def only_builder(target: Path, check: Check) -> Iterator[None]:
+def build_lock(target: Path, check: CancelCheck) -> Iterator[None]:
     """Wait until no other builder of the target is at work, and keep others waiting.
 
     The lock is a file ``.<target's name>.lock`` beside the target, gone afterwards. ``check`` is

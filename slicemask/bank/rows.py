@@ -40,7 +40,7 @@ class Rows:
     data: NDArray[np.float32]
 
 
-def cut(images: Images, cells: int) -> Iterator[Images]:
+def split_by_size(images: Images, cells: int) -> Iterator[Images]:
     """Cut slices into pieces of bounded size; a sector's images stay together."""
     step = max(1, _PIECE_VALUES // cells**2)
     for start in range(0, len(images.u), step):
@@ -103,7 +103,7 @@ def _image_rows(
     return Rows(counts, cell.astype(np.int32), flat[at])
 
 
-def in_order(
+def map_ordered(
     compute: Callable[[_Piece], _Result],
     pieces: Iterator[tuple[float, _Piece]],
     pool: ThreadPoolExecutor,
@@ -114,11 +114,11 @@ def in_order(
     NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
     """
     waiting: deque[tuple[float, Future[_Result]]] = deque()
-    for share, piece in pieces:
-        waiting.append((share, pool.submit(compute, piece)))
+    for fraction_done, piece in pieces:
+        waiting.append((fraction_done, pool.submit(compute, piece)))
         if len(waiting) > most_waiting:
-            share, result = waiting.popleft()
-            yield share, result.result()
+            fraction_done, result = waiting.popleft()
+            yield fraction_done, result.result()
     while waiting:
-        share, result = waiting.popleft()
-        yield share, result.result()
+        fraction_done, result = waiting.popleft()
+        yield fraction_done, result.result()

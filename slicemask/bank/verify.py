@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slicemask.bank.read import Bank
 from slicemask.errors import SpecError
 from slicemask.geometry.masks import Engine, slice_masks
-from slicemask.shield import Check, shielded
+from slicemask.interrupts import CancelCheck, run_cancellable
 from slicemask.threads import thread_count
 
 # Half a unit in the last place of a float32 below 1, and what two engines may differ by.
@@ -107,7 +107,7 @@ def verify_bank(
     step = max(1, _BATCH_VALUES // (slices * cells**2))
     parts = [chosen[start : start + step] for start in range(0, count, step)]
 
-    def compare(check: Check) -> Verification:
+    def compare(check: CancelCheck) -> Verification:
         largest, wrong, first, done = 0.0, 0, None, 0
         pool = ThreadPoolExecutor(min(thread_count(jobs), len(parts)))
         try:
@@ -125,4 +125,4 @@ def verify_bank(
             pool.shutdown(cancel_futures=True)
         return Verification(engine, count, count * slices, largest, wrong, first)
 
-    return shielded(compare)
+    return run_cancellable(compare)

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from slicemask.bank.chunks import FILTERS, stored
+from slicemask.bank.chunks import FILTERS, encode_chunk
 from slicemask.bank.seal import SEAL_BYTES, VERSION, write_seal
 from slicemask.bank.spec import BankSpec
 
@@ -142,7 +142,7 @@ class BankWriter:
     def _send(self, column: _Column) -> None:
         """Have a column's chunk deflated, and begin the next; write those whose turn it is."""
         start, stop = column.sent, column.sent + column.filled
-        packed = self._pool.submit(stored, column.chunk)
+        packed = self._pool.submit(encode_chunk, column.chunk)
         self._waiting.append((column.dataset, start, stop, packed))
         column.chunk, column.filled, column.sent = np.zeros_like(column.chunk), 0, stop
         self._write(_MOST_WAITING)

@@ -25,18 +25,18 @@ from slicemask.cli.options import (
 from slicemask.cli.output import print_result, progress_bar, readable_size
 
 # How long a thread of a build may keep the interpreter from another one that wants it.
-_TURN_S = 0.0002
+_SWITCH_INTERVAL_S = 0.0002
 
 
 @contextmanager
-def _short_turns() -> Iterator[None]:
+def _fast_thread_switching() -> Iterator[None]:
     """Let threads take turns at the interpreter quickly.
 
     Those of a build want it for an instant, between long calls that do without it; by default each
     may have to wait 5 ms for it.
     """
     before = sys.getswitchinterval()
-    sys.setswitchinterval(_TURN_S)
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
         yield
     finally:
@@ -105,7 +105,7 @@ def build(
         if pose_file is not None
         else PoseGrid.parse(str(grid), extent or (0.0, 0.0, 1.0, 1.0), places)
     )
-    with progress_bar("building", "poses") as progress, _short_turns():
+    with progress_bar("building", "poses") as progress, _fast_thread_switching():
         result = slicemask.build_bank(
             poses,
             frustum,

@@ -11,7 +11,7 @@ import click
 
 from slicemask._version import __version__
 from slicemask.errors import SlicemaskError
-from slicemask.shield import exit_on_signals
+from slicemask.interrupts import exit_on_signals
 
 # Where each command lives, and its line in the list of commands, so that listing them imports
 # none: `slicemask --help` answers in 0.1 s, and NumPy and h5py alone take as long.
@@ -79,12 +79,12 @@ class _Group(click.Group):
             formatter.write_dl(rows)
 
     def invoke(self, ctx: click.Context) -> Any:
-        # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
-        exit_on_signals()
         # What was imported is no garbage at the end, either.
         gc.freeze()
         try:
-            return super().invoke(ctx)
+            # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.
+            with exit_on_signals():
+                return super().invoke(ctx)
         except SlicemaskError as error:
             raise click.ClickException(str(error)) from error
         except (MemoryError, RuntimeError) as error:

@@ -10,7 +10,7 @@ from PIL import Image, ImageOps
 from PIL.ImageColor import getrgb
 
 from slicemask.errors import PlotError, SpecError
-from slicemask.files import check_target, written_whole
+from slicemask.files import atomic_write, check_target
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, slice_masks
 from slicemask.geometry.numbers import is_whole
@@ -103,7 +103,7 @@ def save_figure(figure: "Figure", path: str | Path) -> None:
     form = path.suffix.lower()[1:]
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form)
     with (
-        written_whole(path, PlotError) as partial,
+        atomic_write(path, PlotError) as partial,
         matplotlib.rc_context({"svg.hashsalt": "slicemask"}),
     ):
         figure.savefig(partial, format=form, dpi=_DOTS_PER_INCH, metadata=metadata)
@@ -170,7 +170,7 @@ def animate_heading(
             if progress:
                 progress(done, frames)
 
-    with written_whole(path, PlotError) as partial:
+    with atomic_write(path, PlotError) as partial:
         pictures = drawn()
         next(pictures).save(
             partial,

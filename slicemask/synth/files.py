@@ -32,7 +32,7 @@ def is_there(path: Path, size: tuple[int, int]) -> bool:
 def write_picture(path: Path, pixels: NDArray[np.uint8]) -> None:
     """Write uint8 [H, W, 3] as a JPEG or PNG, by the suffix."""
     _make_folder(path)
-    with files.written_whole(path, SynthError, _REMEDY) as partial:
+    with files.atomic_write(path, SynthError, _REMEDY) as partial:
         image = Image.fromarray(pixels)
         if path.suffix == ".jpg":
             image.save(partial, "JPEG", quality=92)

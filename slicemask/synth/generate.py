@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from slicemask.errors import SynthError
 from slicemask.files import check_folder
-from slicemask.shield import Check, shielded
+from slicemask.interrupts import CancelCheck, run_cancellable
 from slicemask.synth import kitti, vigor
 from slicemask.synth.files import write_text
 from slicemask.threads import thread_count
@@ -239,7 +239,7 @@ def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | Non
         if progress is not None:
             progress(done, total)
 
-    def render(check: Check) -> None:
+    def render(check: CancelCheck) -> None:
         if progress is not None:
             progress(0, total)
         if jobs == 1:
@@ -269,7 +269,7 @@ def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | Non
         finally:
             pool.shutdown(cancel_futures=True)
 
-    shielded(render)
+    run_cancellable(render)
     return SynthResult(root, total, rendered)
 
 

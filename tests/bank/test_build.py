@@ -27,6 +27,7 @@ from slicemask import (
     build_bank,
     open_bank,
 )
+from slicemask.bank.build import MemoryLimits
 
 GRID = PoseGrid.parse("3x2x8")
 FRUSTUM = Frustum(120, 3)
@@ -315,8 +316,7 @@ def test_what_cannot_be_synced(tmp_path, monkeypatch, only_folder):
     assert files_in(tmp_path) == (["bank.h5"] if only_folder else [])
 
 
-def test_progress_counts_poses_to_the_last(tmp_path, monkeypatch):
-    monkeypatch.setattr(build, "_BATCH_SLICES", 64)
+def test_progress_counts_poses_to_the_last(tmp_path):
     seen = []
     build_bank(
         PoseGrid.parse("6x6x8"),
@@ -325,6 +325,7 @@ def test_progress_counts_poses_to_the_last(tmp_path, monkeypatch):
         cache=tmp_path,
         jobs=3,
         progress=lambda *counts: seen.append(counts),
+        limits=MemoryLimits(batch_slices=64),
     )
     done = [count for count, _ in seen]
     assert {total for _, total in seen} == {288}
@@ -437,14 +438,14 @@ def test_masks_of_lists_are_those_of_the_plain_loop(tmp_path, plain_masks, frust
 
 
 @pytest.mark.parametrize("most", [1, 7, 1 << 16])
-def test_a_list_of_a_grid_s_poses_gives_the_grid_s_masks(tmp_path, monkeypatch, most):
-    monkeypatch.setattr(build, "_BATCH_SLICES", most)
+def test_a_list_of_a_grid_s_poses_gives_the_grid_s_masks(tmp_path, most):
+    limits = MemoryLimits(batch_slices=most)
     grid, frustum = PoseGrid(4, 5, 6, places="endpoints"), Frustum(200, 4)
     order = np.random.default_rng(0).permutation(len(grid))
     paths = [
-        build_bank(grid, frustum, 7, cache=tmp_path).path,
-        build_bank(grid.poses(), frustum, 7, cache=tmp_path).path,
-        build_bank(grid.poses()[order], frustum, 7, cache=tmp_path).path,
+        build_bank(grid, frustum, 7, cache=tmp_path, limits=limits).path,
+        build_bank(grid.poses(), frustum, 7, cache=tmp_path, limits=limits).path,
+        build_bank(grid.poses()[order], frustum, 7, cache=tmp_path, limits=limits).path,
     ]
     masks, rows = [], []
     for path in paths:

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from slicemask.bank.chunks import FILTERS, fletcher32, stored
+from slicemask.bank.chunks import FILTERS, encode_chunk, fletcher32
 
 CHUNKS = {
     "zeros": np.zeros(1 << 12, dtype=np.int32),
@@ -30,7 +30,7 @@ def _dataset(file, values):
 @pytest.mark.parametrize("values", CHUNKS.values(), ids=CHUNKS)
 def test_hdf5_reads_a_stored_chunk(file, values):
     dataset = _dataset(file, values)
-    dataset.id.write_direct_chunk((0,) * values.ndim, stored(values))
+    dataset.id.write_direct_chunk((0,) * values.ndim, encode_chunk(values))
     assert np.array_equal(dataset[:], values)
 
 
@@ -54,7 +54,7 @@ def test_the_checksum_at_its_turns(file, data):
 def test_hdf5_refuses_a_wrong_sum(file):
     values = CHUNKS["random"]
     dataset = _dataset(file, values)
-    chunk = bytearray(stored(values))
+    chunk = bytearray(encode_chunk(values))
     chunk[-1] ^= 1
     dataset.id.write_direct_chunk((0,), bytes(chunk))
     with pytest.raises(OSError, match="filter returned failure"):

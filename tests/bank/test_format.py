@@ -22,6 +22,7 @@ from slicemask import (
     open_bank,
     slice_masks,
 )
+from slicemask.bank.build import MemoryLimits
 
 TINY = Path(__file__).parent / "data" / "tiny_v1.h5"
 DATASETS = {
@@ -228,23 +229,19 @@ def test_the_same_bytes_whatever_the_threads_the_folder_and_the_process(
     assert one.read_bytes() == two.read_bytes() == three.read_bytes()
 
 
-def test_the_same_bytes_when_many_batches_race(tmp_path, monkeypatch):
-    import slicemask.bank.build as build
-
+def test_the_same_bytes_when_many_batches_race(tmp_path):
     grid, frustum = PoseGrid.parse("12x12x8"), Frustum(300, 4)
-    monkeypatch.setattr(build, "_BATCH_SLICES", 64)
-    one = build_bank(grid, frustum, 16, out=tmp_path / "one.h5", jobs=1).path
-    two = build_bank(grid, frustum, 16, out=tmp_path / "two.h5", jobs=4).path
+    limits = MemoryLimits(batch_slices=64)
+    one = build_bank(grid, frustum, 16, out=tmp_path / "one.h5", jobs=1, limits=limits).path
+    two = build_bank(grid, frustum, 16, out=tmp_path / "two.h5", jobs=4, limits=limits).path
     assert one.read_bytes() == two.read_bytes()
 
 
-def test_the_same_bytes_where_the_index_is_too_large_for_memory(tmp_path, monkeypatch):
-    import slicemask.bank.build as build
-
+def test_the_same_bytes_where_the_index_is_too_large_for_memory(tmp_path):
     grid, frustum = PoseGrid.parse("5x4x8"), Frustum(300, 4)
     one = build_bank(grid, frustum, 16, out=tmp_path / "one.h5").path
-    monkeypatch.setattr(build, "_HELD_INDEX", 0)
-    two = build_bank(grid, frustum, 16, out=tmp_path / "two.h5").path
+    limits = MemoryLimits(index_bytes=0)
+    two = build_bank(grid, frustum, 16, out=tmp_path / "two.h5", limits=limits).path
     assert one.read_bytes() == two.read_bytes()
     assert sorted(os.listdir(tmp_path)) == ["one.h5", "two.h5"]
 

@@ -8,20 +8,16 @@ import threading
 import time
 
 import pytest
+from click.testing import CliRunner
 
-from slicemask.shield import shielded
-
-
-@pytest.fixture(autouse=True)
-def plain_interrupts():
-    """Commands that ran in this process have left their own handler."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+from slicemask.cli.main import main
+from slicemask.interrupts import exit_on_signals, run_cancellable
 
 
 def test_the_work_s_result_and_its_error_come_out():
-    assert shielded(lambda check: 5) == 5
+    assert run_cancellable(lambda check: 5) == 5
     with pytest.raises(ZeroDivisionError):
-        shielded(lambda check: 1 / 0)
+        run_cancellable(lambda check: 1 / 0)
 
 
 def test_an_interrupt_is_raised_when_the_work_has_stopped():
@@ -38,7 +34,7 @@ def test_an_interrupt_is_raised_when_the_work_has_stopped():
             ended.append(True)
 
     with pytest.raises(KeyboardInterrupt):
-        shielded(work)
+        run_cancellable(work)
     assert ended == [True]
 
 
@@ -59,7 +55,7 @@ def test_more_interrupts_do_not_end_the_wait():
 
     for _ in range(5):
         with pytest.raises(KeyboardInterrupt):
-            shielded(work)
+            run_cancellable(work)
     assert ended == [True] * 5
 
 
@@ -70,7 +66,7 @@ def test_an_interrupt_that_comes_too_late_is_raised_all_the_same():
         return 5
 
     with pytest.raises(KeyboardInterrupt):
-        shielded(work)
+        run_cancellable(work)
 
 
 def test_no_interrupt_is_lost_on_the_way_into_the_wait():
@@ -87,16 +83,77 @@ def test_no_interrupt_is_lost_on_the_way_into_the_wait():
 
     for _ in range(200):
         with pytest.raises(KeyboardInterrupt):
-            shielded(work)
+            run_cancellable(work)
     assert not late
 
 
 def test_it_works_away_from_the_main_thread():
     results = []
-    thread = threading.Thread(target=lambda: results.append(shielded(lambda check: 5)))
+    thread = threading.Thread(target=lambda: results.append(run_cancellable(lambda check: 5)))
     thread.start()
     thread.join()
     assert results == [5]
+
+
+def handlers():
+    return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+@pytest.mark.parametrize(
+    ("number", "error"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_signals_end_the_block_and_are_handled_as_before_after_it(number, error):
+    before = handlers()
+
+    def interrupted():
+        with exit_on_signals():
+            os.kill(os.getpid(), number)
+            time.sleep(10)
+
+    with pytest.raises(error):
+        interrupted()
+    assert handlers() == before
+    with exit_on_signals():
+        assert handlers() != before
+    assert handlers() == before
+
+
+def test_a_handler_of_the_caller_s_own_is_kept_and_restored():
+    def own(number, frame):
+        pass
+
+    outer = {number: signal.signal(number, own) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with exit_on_signals():
+            assert signal.getsignal(signal.SIGINT) is own
+        assert handlers() == [own, own]
+    finally:
+        for number, handler in outer.items():
+            signal.signal(number, handler)
+
+
+def test_a_command_leaves_the_handlers_of_its_caller(tmp_path):
+    before = handlers()
+    out = str(tmp_path / "bank.h5")
+    for arguments in (["build", "--grid", "1x1x2", "--out", out], ["info", "no.h5"]):
+        CliRunner().invoke(main, arguments)
+        assert handlers() == before
+
+
+def test_away_from_the_main_thread_handlers_are_left_alone():
+    errors = []
+
+    def run():
+        try:
+            with exit_on_signals():
+                pass
+        except ValueError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert errors == []
 
 
 def test_a_signal_waits_until_an_import_is_done(tmp_path):
@@ -110,11 +167,11 @@ def test_a_signal_waits_until_an_import_is_done(tmp_path):
     )
     code = (
         "import time\n"
-        "from slicemask.shield import exit_on_signals\n"
-        "exit_on_signals()\n"
-        "import swallows\n"
-        "print('imported', flush=True)\n"
-        "time.sleep(60)\n"
+        "from slicemask.interrupts import exit_on_signals\n"
+        "with exit_on_signals():\n"
+        "    import swallows\n"
+        "    print('imported', flush=True)\n"
+        "    time.sleep(60)\n"
     )
     ran = subprocess.run(
         [sys.executable, "-c", code],
