@@ -15,12 +15,14 @@ import shapely
 from numpy.typing import NDArray
 
 from slicemask.errors import SynthError
-from slicemask.synth.cameras import Panorama
-from slicemask.synth.city import City, lay_out_city
-from slicemask.synth.files import is_there, write_picture, write_text
-from slicemask.synth.render import Grade, Light, render
-from slicemask.synth.scene import Scene, View, build_scene
-from slicemask.synth.tiles import missing_tiles, write_tiles
+from slicemask.synth.formats.files import is_complete, write_picture, write_text
+from slicemask.synth.formats.tiles import missing_tiles, write_tiles
+from slicemask.synth.layout.city import City, lay_out_city
+from slicemask.synth.render.cameras import Panorama
+from slicemask.synth.render.grade import Grade
+from slicemask.synth.render.light import Light
+from slicemask.synth.render.render import render
+from slicemask.synth.render.scene import Scene, View, build_scene
 
 
 @dataclass(frozen=True)
@@ -210,7 +212,7 @@ def _choose_places(
 
     Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
     the part that is nearest to the tile's centre, as they are in VIGOR; and no tile gets more than
-    about twice its share.
+    about twice the mean.
     """
     reach = (side - 1) / 2 * step_m  # cameras have tiles on all sides
     inside = shapely.intersection(
@@ -254,7 +256,7 @@ class PanoramaTask:
         """Write the panorama unless it is there; give the number of images written."""
         plan = plan_city(self.spec)
         path = self.root / plan.info.name / "panorama" / plan.panorama_names[self.number]
-        if is_there(path, self.spec.panorama_size):
+        if is_complete(path, self.spec.panorama_size):
             return 0
         rng = self.spec.random(2, self.number)
         x, y = plan.places[self.number].tolist()

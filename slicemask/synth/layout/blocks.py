@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from slicemask.synth.elements import (
+from slicemask.synth.layout.elements import (
     Area,
     Building,
     Colour,
@@ -20,7 +20,7 @@ from slicemask.synth.elements import (
     Slot,
     Tree,
 )
-from slicemask.synth.streets import WHITE, Style, rectangle
+from slicemask.synth.layout.streets import WHITE, Style, rectangle
 
 KERB_M = 0.12
 # Grounds lie on one another in layers, so that none has to be cut out of the one below.
@@ -46,7 +46,9 @@ BRIGHT: tuple[Colour, ...] = (
 CONCRETE: Colour = (0.60, 0.59, 0.56)
 
 
-def pick(rng: np.random.Generator, colours: tuple[Colour, ...], spread: float = 0.06) -> Colour:
+def vary_colour(
+    rng: np.random.Generator, colours: tuple[Colour, ...], spread: float = 0.06
+) -> Colour:
     """Pick a colour and vary its brightness and tint a little."""
     colour = np.array(colours[rng.integers(len(colours))])
     colour = colour * (1 + rng.normal(0, spread)) + rng.normal(0, spread / 4, 3)
@@ -56,7 +58,7 @@ def pick(rng: np.random.Generator, colours: tuple[Colour, ...], spread: float = 
 
 def fill_block(block: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
     """Fill a block with pavement along the streets and, inside, one of the zones."""
-    plan.areas.append(Area(block, Kind.PAVING, pick(rng, (style.pavement,), 0.03), KERB_M))
+    plan.areas.append(Area(block, Kind.PAVING, vary_colour(rng, (style.pavement,), 0.03), KERB_M))
     inner = _largest(block.buffer(-rng.uniform(2.6, 3.8), join_style="mitre"))
     if inner is None or inner.area < 120.0:
         return
@@ -73,7 +75,7 @@ def fill_block(block: Polygon, style: Style, plan: Plan, rng: np.random.Generato
     zone(inner, style, plan, rng)
 
 
-def axes(
+def oriented_bounds(
     polygon: BaseGeometry,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
     """Centre, direction of the long side, length and width of the smallest rectangle around."""
@@ -88,7 +90,7 @@ def split(polygon: Polygon, area_m2: float, rng: np.random.Generator) -> list[Po
     """Cut a polygon across its long side, again and again, into lots of about an area."""
     if polygon.area < 1.5 * area_m2:
         return [polygon]
-    centre, along, length, width = axes(polygon)
+    centre, along, length, width = oriented_bounds(polygon)
     cut = centre + along * length * rng.uniform(-0.1, 0.1)
     reach = length + width
     lots: list[Polygon] = []
@@ -109,7 +111,7 @@ def _fit(
     lot: Polygon, length: float, width: float, gap_m: float, rng: np.random.Generator
 ) -> Polygon | None:
     """Give a rectangle of at most this size inside a lot, along the lot's own sides."""
-    centre, along, *_ = axes(lot)
+    centre, along, *_ = oriented_bounds(lot)
     anchor = shapely.get_coordinates(lot.centroid)[0] * 0.5 + centre * 0.5
     room = lot.buffer(-gap_m)
     for shrink in (1.0, 0.85, 0.7, 0.55):
@@ -123,7 +125,7 @@ def _fit(
 
 
 def _facade(style: Style, kind: str, rng: np.random.Generator) -> Facade:
-    wall = pick(rng, WALLS)
+    wall = vary_colour(rng, WALLS)
     wall = (
         min(max(wall[0] + style.wall_hue, 0.05), 0.95),
         wall[1],
@@ -131,8 +133,8 @@ def _facade(style: Style, kind: str, rng: np.random.Generator) -> Facade:
     )
     facade = Facade(
         colour=wall,
-        window=pick(rng, ((0.20, 0.24, 0.29), (0.28, 0.33, 0.37), (0.16, 0.18, 0.20))),
-        shop=pick(rng, BRIGHT),
+        window=vary_colour(rng, ((0.20, 0.24, 0.29), (0.28, 0.33, 0.37), (0.16, 0.18, 0.20))),
+        shop=vary_colour(rng, BRIGHT),
         pitch_m=float(rng.uniform(2.0, 3.6)),
         storey_m=float(rng.uniform(2.8, 3.5)),
         width=float(rng.uniform(0.32, 0.6)),
@@ -145,7 +147,7 @@ def _facade(style: Style, kind: str, rng: np.random.Generator) -> Facade:
         # A curtain wall, or bands of glass.
         return replace(
             facade,
-            window=pick(rng, ((0.25, 0.35, 0.45), (0.18, 0.28, 0.30), (0.38, 0.46, 0.52))),
+            window=vary_colour(rng, ((0.25, 0.35, 0.45), (0.18, 0.28, 0.30), (0.38, 0.46, 0.52))),
             width=float(rng.choice([0.88, 1.0])),
             height=float(rng.uniform(0.55, 0.88)),
             bricks=0.0,
@@ -179,13 +181,13 @@ def draw_tree(
     greens: tuple[Colour, ...] = (
         (0.25, 0.36, 0.15), (0.33, 0.42, 0.18), (0.20, 0.30, 0.15), (0.40, 0.43, 0.17),
     )  # fmt: skip
-    colour = pick(rng, ((0.16, 0.26, 0.17),) if conifer else greens, 0.12)
+    colour = vary_colour(rng, ((0.16, 0.26, 0.17),) if conifer else greens, 0.12)
     return Tree(x, y, float(height), float(radius * (0.7 if conifer else 1)), conifer, colour)
 
 
 def _houses(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
     """Detached houses in gardens, with drives, pools and sheds."""
-    plan.areas.append(Area(lot, Kind.GRASS, pick(rng, (style.grass,), 0.05), LOT_M))
+    plan.areas.append(Area(lot, Kind.GRASS, vary_colour(rng, (style.grass,), 0.05), LOT_M))
     street = lot.exterior
     hedge_chance = rng.random() * 0.6
     tiled = rng.choice(len(TILED_ROOFS), 3)  # neighbours share a few roofs
@@ -203,7 +205,7 @@ def _houses(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) ->
                 house,
                 top_m=3.0 * float(storeys) + 0.6,
                 facade=_facade(style, "house", rng),
-                roof_colour=pick(rng, colours),
+                roof_colour=vary_colour(rng, colours),
                 roof=roof,
                 roof_kind=Kind.ROOF if roof == "flat" else Kind.TILES,
             )
@@ -215,7 +217,7 @@ def _houses(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) ->
             drive = _drive(garden, house, street, rng)
             if drive is not None:
                 path, slot = drive
-                plan.areas.append(Area(path, Kind.PAVING, pick(rng, (CONCRETE,)), PATH_M))
+                plan.areas.append(Area(path, Kind.PAVING, vary_colour(rng, (CONCRETE,)), PATH_M))
                 plan.slots.append(slot)
                 room = room.difference(path)
         if rng.random() < 0.12:
@@ -237,7 +239,7 @@ def _houses(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) ->
 
 def _wing(plan: Plan, house: Building, garden: Polygon, rng: np.random.Generator) -> None:
     """Build a lower wing across the house, when there is room."""
-    centre, along, length, width = axes(house.footprint)
+    centre, along, length, width = oriented_bounds(house.footprint)
     left = np.array([-along[1], along[0]])
     side = rng.choice([-1, 1])
     place = centre + along * length * rng.uniform(-0.2, 0.2) + side * left * width * 0.7
@@ -286,14 +288,14 @@ def _rows(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> N
                 continue
             top = 3.2 * max(2, int(storeys + rng.integers(-1, 2))) + rng.uniform(0.4, 1.4)
             facade = _facade(style, "row", rng)
-            _, _, length, width = axes(part)
+            _, _, length, width = oriented_bounds(part)
             regular = part.area > 0.93 * length * width and width > 4.0
             if pitched and regular:
-                centre, along, *_ = axes(part)
+                centre, along, *_ = oriented_bounds(part)
                 part = rectangle(centre, along, length, width)
-                roof, kind, colour = "gable", Kind.TILES, pick(rng, TILED_ROOFS)
+                roof, kind, colour = "gable", Kind.TILES, vary_colour(rng, TILED_ROOFS)
             else:
-                roof, kind, colour = "flat", Kind.ROOF, pick(rng, FLAT_ROOFS)
+                roof, kind, colour = "flat", Kind.ROOF, vary_colour(rng, FLAT_ROOFS)
             plan.buildings.append(Building(part, float(top), facade, colour, roof, 0.0, kind))
     yard = _largest(court)
     if yard is None or yard.area < 40.0:
@@ -301,12 +303,12 @@ def _rows(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> N
     if yard.area > 450.0 and rng.random() < 0.45:
         parking_lot(yard.buffer(-1.0, join_style="mitre"), plan, rng)
         return
-    plan.areas.append(Area(yard, Kind.GRASS, pick(rng, (style.grass,)), LOT_M))
+    plan.areas.append(Area(yard, Kind.GRASS, vary_colour(rng, (style.grass,)), LOT_M))
     for shed in split(yard, 90.0, rng)[:6]:
         place = _fit(shed, 4, 3, 0.8, rng) if rng.random() < 0.35 else None
         if place is not None:
             plan.buildings.append(
-                Building(place, 2.6, _facade(style, "shed", rng), pick(rng, FLAT_ROOFS))
+                Building(place, 2.6, _facade(style, "shed", rng), vary_colour(rng, FLAT_ROOFS))
             )
     sheds = shapely.union_all([b.footprint for b in plan.buildings[-6:]])
     trees = int(yard.area / 90 * style.tree_density)
@@ -315,12 +317,12 @@ def _rows(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> N
 
 def _towers(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
     """Tall buildings on podiums, on paved squares."""
-    colour = pick(rng, ((0.58, 0.55, 0.50), (0.50, 0.50, 0.52), (0.66, 0.58, 0.50)))
+    colour = vary_colour(rng, ((0.58, 0.55, 0.50), (0.50, 0.50, 0.52), (0.66, 0.58, 0.50)))
     plan.areas.append(Area(lot, Kind.PAVING, colour, LOT_M))
     far = np.hypot(lot.centroid.x - style.downtown[0], lot.centroid.y - style.downtown[1])
     tall = 14.0 * np.exp(-((far / 150.0) ** 2)) + 5.0
     for site in split(lot, rng.uniform(900, 1900), rng):
-        _, _, length, width = axes(site)
+        _, _, length, width = oriented_bounds(site)
         base = _fit(site, length * 0.9, width * 0.88, rng.uniform(1.0, 4.0), rng)
         if base is None or base.area < 120.0:
             _plant(plan, site, 4, style, rng)
@@ -328,16 +330,16 @@ def _towers(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) ->
         facade = _facade(style, "tower", rng)
         storeys = max(4, rng.poisson(tall))
         top = facade.storey_m * storeys + rng.uniform(0.5, 2.0)
-        roof = pick(rng, FLAT_ROOFS)
+        roof = vary_colour(rng, FLAT_ROOFS)
         shaft = base
         if rng.random() < 0.6 and base.area > 350.0:
             low = facade.storey_m * rng.integers(1, 4)
             plan.buildings.append(Building(base, low + 0.8, replace(facade, shops=True), roof))
-            centre, along, length, width = axes(base)
-            share = rng.uniform(0.5, 0.8, 2)
-            shift = along * rng.uniform(-0.5, 0.5) * length * (1 - share[0]) * 0.8
-            shaft = rectangle(centre + shift, along, length * share[0], width * share[1])
-        plan.buildings.append(Building(shaft, float(top), facade, pick(rng, FLAT_ROOFS)))
+            centre, along, length, width = oriented_bounds(base)
+            slimmer = rng.uniform(0.5, 0.8, 2)
+            shift = along * rng.uniform(-0.5, 0.5) * length * (1 - slimmer[0]) * 0.8
+            shaft = rectangle(centre + shift, along, length * slimmer[0], width * slimmer[1])
+        plan.buildings.append(Building(shaft, float(top), facade, vary_colour(rng, FLAT_ROOFS)))
         free = site.difference(base.buffer(2.5))
         _plant(plan, free, int(free.area / 70 * style.tree_density), style, rng)
         if rng.random() < 0.25:
@@ -350,14 +352,14 @@ def _retail(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) ->
     for half in halves[:-1]:
         parking_lot(half, plan, rng)
     site = halves[-1]
-    plan.areas.append(Area(site, Kind.PAVING, pick(rng, (CONCRETE,)), LOT_M))
+    plan.areas.append(Area(site, Kind.PAVING, vary_colour(rng, (CONCRETE,)), LOT_M))
     shop = _largest(site.buffer(-rng.uniform(1.5, 4.0), join_style="mitre"))
     if shop is not None and shop.area > 80.0:
         colours = (*FLAT_ROOFS, (0.82, 0.82, 0.80), (0.40, 0.50, 0.58))
         top = rng.uniform(5.0, 9.0)
         facade = _facade(style, "shed", rng)
-        plan.buildings.append(Building(shop, float(top), facade, pick(rng, colours)))
-        centre, along, length, width = axes(shop)
+        plan.buildings.append(Building(shop, float(top), facade, vary_colour(rng, colours)))
+        centre, along, length, width = oriented_bounds(shop)
         if rng.random() < 0.5 and shop.area > 400:  # skylights in rows
             for offset in np.arange(-length / 2 + 4, length / 2 - 4, 6.0):
                 light = rectangle(centre + along * offset, along, 1.6, width * 0.6)
@@ -374,7 +376,7 @@ def parking_lot(ground: BaseGeometry, plan: Plan, rng: np.random.Generator) -> N
         return
     shade = rng.uniform(0.24, 0.38)
     plan.areas.append(Area(polygon, Kind.ASPHALT, (shade, shade, shade * 1.02), PATH_M))
-    centre, along, length, width = axes(polygon)
+    centre, along, length, width = oriented_bounds(polygon)
     left = np.array([-along[1], along[0]])
     room = polygon.buffer(-0.4)
     busy = rng.uniform(0.2, 0.8)
@@ -393,18 +395,18 @@ def parking_lot(ground: BaseGeometry, plan: Plan, rng: np.random.Generator) -> N
 
 def _park(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
     """Grass, paths, trees, and a pond, a court or a landmark."""
-    plan.areas.append(Area(lot, Kind.GRASS, pick(rng, (style.grass,)), LOT_M))
+    plan.areas.append(Area(lot, Kind.GRASS, vary_colour(rng, (style.grass,)), LOT_M))
     centre = shapely.get_coordinates(lot.centroid)[0]
     rim = lot.exterior
     paths = [rim.buffer(0.9)]
     start = rng.random()
-    for share in start + np.arange(rng.integers(3, 7)) / 6.0:
-        end = shapely.get_coordinates(rim.interpolate(share % 1.0, normalized=True))[0]
+    for position in start + np.arange(rng.integers(3, 7)) / 6.0:
+        end = shapely.get_coordinates(rim.interpolate(position % 1.0, normalized=True))[0]
         bow = (centre + end) / 2 + rng.normal(0, 3.0, 2)
         paths.append(LineString([centre, bow, end]).buffer(rng.uniform(0.7, 1.2)))
     square = shapely.Point(centre).buffer(rng.uniform(3.0, 6.0))
     walks = shapely.union_all([*paths, square]).intersection(lot)
-    colour = pick(rng, ((0.66, 0.58, 0.44), CONCRETE, (0.55, 0.42, 0.34)))
+    colour = vary_colour(rng, ((0.66, 0.58, 0.44), CONCRETE, (0.55, 0.42, 0.34)))
     for part in shapely.get_parts(walks):
         plan.areas.append(Area(part, Kind.PAVING, colour, PATH_M))
     free = lot.difference(walks.buffer(0.8))
@@ -432,10 +434,10 @@ def _park(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> N
 
 def _court(court: Polygon, plan: Plan, rng: np.random.Generator) -> None:
     """A playing field: a coloured ground with white lines."""
-    colour = pick(rng, ((0.55, 0.25, 0.18), (0.16, 0.36, 0.50), (0.20, 0.42, 0.26)))
+    colour = vary_colour(rng, ((0.55, 0.25, 0.18), (0.16, 0.36, 0.50), (0.20, 0.42, 0.26)))
     plan.areas.append(Area(court, Kind.PLAIN, colour, PATH_M))
     lines = court.buffer(-0.8, join_style="mitre")
-    centre, along, _, width = axes(lines)
+    centre, along, _, width = oriented_bounds(lines)
     painted = lines.difference(lines.buffer(-0.15, join_style="mitre")).union(
         rectangle(centre, along, 0.15, width)
     )
@@ -455,14 +457,19 @@ def _landmark(plan: Plan, where: BaseGeometry, rng: np.random.Generator) -> None
     size = rng.uniform(0.8, 1.3)
     plan.landmarks.append(
         Landmark(
-            point.x, point.y, shape, float(height * size), float(radius * size), pick(rng, BRIGHT)
+            point.x,
+            point.y,
+            shape,
+            float(height * size),
+            float(radius * size),
+            vary_colour(rng, BRIGHT),
         )
     )
 
 
 def _mixed(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
     """Lots of every kind beside one another: flats, shops, yards, small car parks."""
-    ground = Area(lot, Kind.PAVING, pick(rng, (CONCRETE, style.pavement)), LOT_M)
+    ground = Area(lot, Kind.PAVING, vary_colour(rng, (CONCRETE, style.pavement)), LOT_M)
     plan.areas.append(ground)
     for site in split(lot, rng.uniform(320, 800), rng):
         what = rng.random()
@@ -470,13 +477,13 @@ def _mixed(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> 
             parking_lot(site.buffer(-0.5, join_style="mitre"), plan, rng)
             continue
         if what < 0.26:
-            plan.areas.append(Area(site, Kind.GRASS, pick(rng, (style.grass,)), PATH_M))
+            plan.areas.append(Area(site, Kind.GRASS, vary_colour(rng, (style.grass,)), PATH_M))
             _plant(plan, site, int(site.area / 60 * style.tree_density), style, rng)
             continue
         block = _largest(site.buffer(-rng.choice([0.15, 1.0, 2.5]), join_style="mitre"))
         if block is None or block.area < 50.0:
             continue
-        centre, along, length, width = axes(block)
+        centre, along, length, width = oriented_bounds(block)
         if what < 0.6 and block.area > 250.0:  # an L: cut a corner off
             corner = centre + along * length * 0.35 * rng.choice([-1, 1])
             corner = corner + np.array([-along[1], along[0]]) * width * 0.35 * rng.choice([-1, 1])
@@ -485,4 +492,4 @@ def _mixed(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> 
                 continue
         facade = _facade(style, "row", rng)
         top = facade.storey_m * rng.integers(1, 7) + rng.uniform(0.5, 1.2)
-        plan.buildings.append(Building(block, float(top), facade, pick(rng, FLAT_ROOFS)))
+        plan.buildings.append(Building(block, float(top), facade, vary_colour(rng, FLAT_ROOFS)))

@@ -10,7 +10,7 @@ from PIL import Image
 from model.data.vigor import METRES_PER_PIXEL, VigorConfig, VigorDataset, read_labels
 from slicemask.errors import SpecError, SynthError
 from slicemask.synth import generate_vigor
-from slicemask.synth.vigor import CITIES, VigorSpec, plan_city
+from slicemask.synth.formats.vigor import CITIES, VigorSpec, plan_city
 
 NAMES = ("NewYork", "SanFrancisco")
 

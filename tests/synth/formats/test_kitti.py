@@ -16,7 +16,8 @@ from model.data.kitti import (
     read_hfov_deg,
 )
 from slicemask.errors import SynthError
-from slicemask.synth import generate_kitti, kitti
+from slicemask.synth import generate_kitti
+from slicemask.synth.formats import kitti
 
 
 def frames(root, name):
