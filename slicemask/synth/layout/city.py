@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, Polygon
 
-from slicemask.synth.layout.blocks import BRIGHT, draw_tree, fill_block, vary_colour
+from slicemask.synth.layout.blocks import fill_block
 from slicemask.synth.layout.elements import (
     CAR_BODIES,
     Area,
@@ -21,6 +21,8 @@ from slicemask.synth.layout.elements import (
     Slot,
     Tree,
 )
+from slicemask.synth.layout.greenery import draw_tree
+from slicemask.synth.layout.palette import BRIGHT, vary_colour
 from slicemask.synth.layout.streets import (
     LANE_M,
     PARKING_M,

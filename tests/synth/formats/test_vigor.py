@@ -55,6 +55,30 @@ def test_names_labels_and_lists_are_vigors(vigor_tree, city):
     assert [len(part) for part in parts] == [3, 2]
 
 
+@pytest.mark.parametrize("folder", ["splits", "splits_new"])
+@pytest.mark.parametrize("city", NAMES)
+def test_labels_lie_under_the_names_that_other_loaders_open(vigor_tree, city, folder):
+    corrected, other = vigor_tree / "splits__corrected" / city, vigor_tree / folder / city
+    assert {path.name for path in other.iterdir()} == {
+        path.name.replace("__corrected", "") for path in corrected.iterdir()
+    }
+    for path in corrected.iterdir():
+        assert (other / path.name.replace("__corrected", "")).read_bytes() == path.read_bytes()
+
+
+def test_original_labels_are_the_corrected_ones(vigor_tree):
+    poses = [
+        [
+            sample["pose"].tolist()
+            for sample in VigorDataset(
+                VigorConfig(root=vigor_tree, cities=NAMES, labels=labels), "test"
+            )
+        ]
+        for labels in ("original", "corrected")
+    ]
+    assert poses[0] == poses[1]
+
+
 @pytest.mark.parametrize("city", NAMES)
 def test_labels_agree_with_latitude_and_longitude(vigor_tree, city):
     """d0 counts south and d1 west from the tile's centre, in pixels of 640."""
