@@ -14,8 +14,8 @@ from typing import Any, Protocol
 from slicemask.errors import SynthError
 from slicemask.files import check_folder
 from slicemask.interrupts import CancelCheck, run_cancellable
-from slicemask.synth import kitti, vigor
-from slicemask.synth.files import write_text
+from slicemask.synth.formats import kitti, vigor
+from slicemask.synth.formats.files import write_text
 from slicemask.threads import thread_count
 
 # Raised with every change that alters a picture or a label.

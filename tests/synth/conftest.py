@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slicemask.synth import generate_kitti, generate_vigor
-from slicemask.synth.city import lay_out_city
-from slicemask.synth.scene import build_scene
+from slicemask.synth.layout.city import lay_out_city
+from slicemask.synth.render.scene import build_scene
 
 VIGOR = {"cities": 2, "panoramas": 5, "seed": 3, "panorama_size": (256, 128), "tile_size": 160}
 KITTI = {"frames": 5, "seed": 3, "image_size": (414, 125), "tile_size": 640}

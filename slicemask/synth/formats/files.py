@@ -17,7 +17,7 @@ _REMEDY = (
 )
 
 
-def is_there(path: Path, size: tuple[int, int]) -> bool:
+def is_complete(path: Path, size: tuple[int, int]) -> bool:
     """Whether a picture is there, of the given (columns, rows), and can be decoded to its end."""
     try:
         with Image.open(path) as image:

@@ -1,124 +1,20 @@
 """Pictures of a scene: one ray a pixel, sun and sky, and more rays where neighbours differ."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from slicemask.synth.cameras import Camera
-from slicemask.synth.elements import Kind
-from slicemask.synth.materials import albedo, noise, single
-from slicemask.synth.scene import Scene
+from slicemask.synth.layout.elements import Kind
+from slicemask.synth.render.cameras import Camera
+from slicemask.synth.render.light import Light
+from slicemask.synth.render.materials import Floats, albedo, as_float32
+from slicemask.synth.render.scene import Scene
 
-Floats = NDArray[np.float32]
 # Rays that are shaded at once: as many as stay in the processor's cache.
 CHUNK = 1 << 16
 # Where else in a pixel to look when it lies on an edge.
 SUBPIXELS = ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125))
 # Brightness, in [0, 1], by which neighbours must differ to be an edge.
 EDGE = 0.08
-
-
-@dataclass(frozen=True)
-class Light:
-    """Sun and sky.
-
-    Parameters
-    ----------
-    sun_azimuth_deg, sun_elevation_deg
-        Where the sun stands, clockwise from north and above the horizon.
-    sun
-        Its strength; 0 is an overcast day.
-    ambient
-        Strength of the sky's light.
-    zenith, horizon
-        Colours of the sky.
-    clouds
-        Share of clouds, in [0, 1].
-    haze_m
-        Distance at which haze has taken two thirds of a colour.
-    """
-
-    sun_azimuth_deg: float
-    sun_elevation_deg: float
-    sun: float
-    ambient: float
-    zenith: tuple[float, float, float]
-    horizon: tuple[float, float, float]
-    clouds: float
-    haze_m: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, aerial: bool = False) -> "Light":
-        """Draw the light of a day and hour; pictures from above are taken in clear air."""
-        overcast = rng.random() < 0.25
-        sun = rng.uniform(0.0, 0.25) if overcast else rng.uniform(0.7, 1.1)
-        blue = rng.uniform(0.0, 1.0)
-        zenith = (0.30 + 0.2 * blue, 0.50 + 0.1 * blue, 0.78)
-        grey = rng.uniform(0.68, 0.82)
-        return cls(
-            sun_azimuth_deg=float(rng.uniform(90, 270)),
-            sun_elevation_deg=float(rng.uniform(28, 65)),
-            sun=float(sun),
-            ambient=float(rng.uniform(0.85, 0.98) if overcast else rng.uniform(0.5, 0.66)),
-            zenith=(grey, grey, grey + 0.03) if overcast else zenith,
-            horizon=(0.86, 0.88, 0.90),
-            clouds=1.0 if overcast else float(rng.uniform(0.0, 0.7)),
-            haze_m=float(rng.uniform(350, 900) * (10 if aerial else 1)),
-        )
-
-    @property
-    def towards_sun(self) -> Floats:
-        """Unit vector to the sun, float32 [3]."""
-        azimuth, elevation = np.radians([self.sun_azimuth_deg, self.sun_elevation_deg])
-        level = np.cos(elevation)
-        return single([level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)])
-
-    def sky(self, directions: Floats) -> Floats:
-        """Colours of the sky, float32 [n, 3], in directions [n, 3]."""
-        x, y, z = directions.T
-        up = np.clip(z, 0.0, 1.0)[:, None]
-        colour = single(self.horizon) + np.sqrt(up) * single(np.subtract(self.zenith, self.horizon))
-        reach = 1.0 / (up[:, 0] + 0.12)
-        zero = np.zeros_like(reach)
-        cover = sum(
-            noise(x * reach * size, y * reach * size, 1.0, zero) / size for size in (1.1, 2.3, 5.1)
-        )
-        cloud = np.clip((cover + self.clouds - 0.55) * 1.4, 0, 1) * np.clip(z * 6, 0, 1)
-        return np.asarray(colour + cloud[:, None] * (single([0.93, 0.94, 0.95]) - colour))
-
-
-@dataclass(frozen=True)
-class Grade:
-    """What a sensor makes of the light: gains of the channels, contrast, saturation, noise."""
-
-    gains: tuple[float, float, float]
-    contrast: float
-    saturation: float
-    noise: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator) -> "Grade":
-        """Draw a sensor's colours."""
-        exposure = rng.uniform(0.9, 1.15)
-        red, green, blue = (exposure * (1 + rng.normal(0, (0.035, 0.015, 0.04)))).tolist()
-        return cls(
-            gains=(red, green, blue),
-            contrast=float(rng.uniform(0.85, 1.12)),
-            saturation=float(rng.uniform(0.7, 1.15)),
-            noise=float(rng.uniform(0.004, 0.014)),
-        )
-
-    def apply(self, image: Floats, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Turn float32 [H, W, 3] light into uint8."""
-        graded = image * single(self.gains)
-        grey = graded.mean(axis=-1, keepdims=True)
-        graded = grey + self.saturation * (graded - grey)
-        graded = 0.5 + self.contrast * (graded - 0.5)
-        # What is too bright for the sensor nears white instead of being cut off.
-        graded = np.where(graded > 0.7, 0.7 + 0.3 * np.tanh((graded - 0.7) / 0.3), graded)
-        graded += rng.standard_normal(graded.shape, dtype=np.float32) * self.noise
-        return np.asarray(np.clip(graded, 0, 1) * 255 + 0.5, dtype=np.uint8)
 
 
 def render(scene: Scene, camera: Camera, light: Light) -> Floats:
@@ -207,7 +103,9 @@ def _shade(
     sky = light.ambient * (0.72 + 0.28 * normal[:, 2])
     upright = np.abs(normal[:, 2]) < 0.7
     sky = sky * np.where(upright, 0.85 + 0.15 * np.clip(point[:, 2] / 4.0, 0, 1), 1.0)
-    tint = sky[:, None] * single([0.95, 1.0, 1.06]) + shine[:, None] * single([1.06, 1.0, 0.9])
+    tint = sky[:, None] * as_float32([0.95, 1.0, 1.06]) + shine[:, None] * as_float32(
+        [1.06, 1.0, 0.9]
+    )
     shaded = base * tint
 
     kind = scene.surfaces.kind[surface[met]]
@@ -223,7 +121,7 @@ def _shade(
             # Seen from below, a mirror shows the street instead of the sky.
             mirrored = np.where((bounce[:, 2] > 0.05)[:, None], mirrored, 0.35 * mirrored)
             shaded[chosen] += gleam[:, None] * (mirrored - shaded[chosen])
-    near_horizon = single(light.horizon)
+    near_horizon = as_float32(light.horizon)
     haze = 1 - np.exp(-distance / light.haze_m)
     colour[met] = shaded + haze[:, None] * (near_horizon - shaded)
     return colour, surface

@@ -27,7 +27,7 @@ class Style:
     Parameters
     ----------
     angle_deg
-        The grid's turn against the tiles, counter-clockwise.
+        The grid's rotation against the tiles, counter-clockwise.
     block_m
         Typical length and depth of a block, metres.
     stagger
@@ -156,14 +156,14 @@ def lay_streets(style: Style, half_extent_m: float, rng: np.random.Generator) ->
 
 
 class _Bend:
-    """A smooth map of the plane that bends straight streets, then turns the grid."""
+    """A smooth map of the plane that bends straight streets, then rotates the grid."""
 
     def __init__(self, style: Style, rng: np.random.Generator):
         self._waves = rng.uniform(-1, 1, (3, 2)) * 2 * np.pi / 320.0
         self._phases = rng.uniform(0, 2 * np.pi, 3)
         self._sides = rng.uniform(-1, 1, (3, 2)) * style.bend_m
         angle = np.radians(style.angle_deg)
-        self._turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        self._rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
     def line(self, start: tuple[float, float], end: tuple[float, float]) -> LineString:
         """Bend the straight line between two points."""
@@ -171,7 +171,7 @@ class _Bend:
         steps = max(2, int(np.hypot(*(b - a)) / 8.0) + 1)
         points = a + np.linspace(0, 1, steps)[:, None] * (b - a)
         bent = points + np.sin(points @ self._waves.T + self._phases) @ self._sides
-        return LineString(bent @ self._turn.T)
+        return LineString(bent @ self._rotation.T)
 
 
 def free_pieces(streets: list[Street]) -> Iterator[tuple[Street, LineString]]:
@@ -187,7 +187,9 @@ def free_pieces(streets: list[Street]) -> Iterator[tuple[Street, LineString]]:
                 yield street, piece
 
 
-def at(line: LineString, along_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def point_and_direction(
+    line: LineString, along_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The point at a length along a line and the direction there, both float64 [2]."""
     along_m = min(max(along_m, 0.0), line.length)
     a, b = shapely.get_coordinates(
@@ -247,7 +249,7 @@ def paint_markings(
     kind = rng.random()
     for line in (piece, piece.reverse()):  # each end, as its traffic reaches it
         end = line.length
-        point, along = at(line, end - 2.2)
+        point, along = point_and_direction(line, end - 2.2)
         across = np.array([-along[1], along[0]])
         if kind < 0.7:
             offsets = np.arange(-street.width_m / 2 + 0.6, street.width_m / 2 - 0.3, 1.1)
@@ -256,12 +258,12 @@ def paint_markings(
         else:
             for offset in (-1.6, 1.6):
                 yield rectangle(point + offset * along, across, street.width_m - 0.6, 0.3), WHITE
-        point, along = at(line, end - 5.0)
+        point, along = point_and_direction(line, end - 5.0)
         right = -np.array([-along[1], along[0]])
         lanes_m = half * LANE_M
         yield rectangle(point + right * lanes_m / 2, right, lanes_m - 0.3, 0.4), WHITE
         if end > 30.0 and (half > 1 or kind < 0.35):
-            point, along = at(line, end - 10.0)
+            point, along = point_and_direction(line, end - 10.0)
             for lane in range(half):
                 centre = point + right * (lane + 0.5) * LANE_M
                 shape = STRAIGHT if rng.random() < 0.5 else TURN_LEFT * [1, 1 if lane == 0 else -1]

@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slicemask.synth.elements import Kind
-from slicemask.synth.scene import Scene
+from slicemask.synth.layout.elements import Kind
+from slicemask.synth.render.scene import Scene
 
 Floats = NDArray[np.float32]
 
 
-def single(values: ArrayLike) -> Floats:
+def as_float32(values: ArrayLike) -> Floats:
     """An array of float32, in which all shading is done."""
     return np.asarray(values, dtype=np.float32)
 
@@ -76,31 +76,31 @@ def noise(x: Floats, y: Floats, wavelength_m: float, footprint_m: Floats) -> Flo
     top = a + (table[i, j1] - a) * fx
     bottom = b + (table[i1, j1] - b) * fx
     fade = np.clip(1.5 - footprint_m / wavelength_m, 0, 1)
-    return single((top + (bottom - top) * fy) * fade)
+    return as_float32((top + (bottom - top) * fy) * fade)
 
 
-def pulse(x: Floats, period: Floats | float, share: Floats | float, width: Floats) -> Floats:
-    """Share of [x - width/2, x + width/2] in stripes that fill [0, share) of each period."""
+def pulse(x: Floats, period: Floats | float, duty: Floats | float, width: Floats) -> Floats:
+    """Fraction of [x - width/2, x + width/2] in stripes that fill [0, duty) of each period."""
     half = np.maximum(width / period, 1e-3) / 2
 
     def filled(y: Floats) -> Floats:
         whole = np.floor(y)
-        return single(whole * share + np.minimum(y - whole, share))
+        return as_float32(whole * duty + np.minimum(y - whole, duty))
 
-    x = single(x / period)
-    return single((filled(single(x + half)) - filled(single(x - half))) / (2 * half))
+    x = as_float32(x / period)
+    return as_float32((filled(as_float32(x + half)) - filled(as_float32(x - half))) / (2 * half))
 
 
 def _plain(point: Floats, footprint: Floats) -> Floats:
     x, y, z = point.T
     worn = noise(x, y + z, 0.13, footprint) + noise(x + z, y, 0.7, footprint)
-    return single(1.0 - 0.10 * np.clip(worn, -0.5, 1))
+    return as_float32(1.0 - 0.10 * np.clip(worn, -0.5, 1))
 
 
 def _asphalt(point: Floats, footprint: Floats) -> Floats:
     x, y, _ = point.T
     patches = noise(x, y, 9.0, footprint)
-    return single(
+    return as_float32(
         1.0
         + 0.10 * noise(x + 31, y, 2.3, footprint)
         + 0.07 * noise(x, y + 17, 0.09, footprint)
@@ -113,7 +113,7 @@ def _paving(point: Floats, footprint: Floats) -> Floats:
     x, y, _ = point.T
     joints = np.maximum(pulse(x, 1.5, 0.02, footprint), pulse(y, 1.5, 0.02, footprint))
     slab = noise(np.floor(x / 1.5) * 7.3, np.floor(y / 1.5) * 5.1, 1.0, footprint)
-    return single(1.0 - 0.35 * joints + 0.07 * noise(x, y, 3.1, footprint) + 0.05 * slab)
+    return as_float32(1.0 - 0.35 * joints + 0.07 * noise(x, y, 3.1, footprint) + 0.05 * slab)
 
 
 def _grass(point: Floats, footprint: Floats) -> Floats:
@@ -125,20 +125,20 @@ def _grass(point: Floats, footprint: Floats) -> Floats:
         + 0.18 * noise(x, y, 0.45, footprint)
         + 0.22 * noise(x, y, 0.08, footprint)
     )
-    return single(light[:, None] * (1 + worn[:, None] * single([0.28, 0.08, 0.12])))
+    return as_float32(light[:, None] * (1 + worn[:, None] * as_float32([0.28, 0.08, 0.12])))
 
 
 def _roof(point: Floats, footprint: Floats) -> Floats:
     x, y, _ = point.T
     seams = pulse(x + 0.37 * y, 3.4, 0.03, footprint)
     stains = noise(x, y, 5.0, footprint) + 0.6 * noise(x, y + 40, 1.4, footprint)
-    return single(1.0 - 0.12 * seams + 0.10 * stains + 0.06 * noise(x, y, 0.2, footprint))
+    return as_float32(1.0 - 0.12 * seams + 0.10 * stains + 0.06 * noise(x, y, 0.2, footprint))
 
 
 def _tiles(point: Floats, footprint: Floats) -> Floats:
     x, y, z = point.T
     courses = pulse(z, 0.17, 0.3, footprint * 0.5)
-    return single(
+    return as_float32(
         1.06
         - 0.22 * courses
         + 0.10 * noise(x, y, 1.7, footprint)
@@ -153,12 +153,14 @@ def _leaves(point: Floats, footprint: Floats) -> Floats:
         # Noise in three planes, so that no side of a crown shows streaks.
         for a, b in ((x, y), (y + 50, z), (z + 90, x)):
             light += 0.6 * strength * noise(a, b, wavelength, footprint)
-    return single(np.clip(light, 0.25, 1.8))
+    return as_float32(np.clip(light, 0.25, 1.8))
 
 
 def _water(point: Floats, footprint: Floats) -> Floats:
     x, y, _ = point.T
-    return single(1.0 + 0.10 * noise(x, 2 * y, 0.9, footprint) + 0.06 * noise(x, y, 6.0, footprint))
+    return as_float32(
+        1.0 + 0.10 * noise(x, 2 * y, 0.9, footprint) + 0.06 * noise(x, y, 6.0, footprint)
+    )
 
 
 def _wall(
@@ -189,8 +191,8 @@ def _wall(
                          np.minimum(width + 0.18 / pitch, 0.99), footprint)  # fmt: skip
     frame_up = pulse(z - storey * 0.28 + 0.10, storey, height + 0.2 / storey, footprint)
     usable = (count > 0) & (width > 0) & (z < top - 0.5) & ~(ground & (shops > 0))
-    share = np.where(usable, across * up, 0)
-    frame = np.where(usable & (width < 0.8), np.maximum(frame_across * frame_up - share, 0), 0)
+    glazed = np.where(usable, across * up, 0)
+    frame = np.where(usable & (width < 0.8), np.maximum(frame_across * frame_up - glazed, 0), 0)
 
     wall = scene.surfaces.colour[surface]
     dirt = 1.0 + 0.07 * noise(along + 3.7 * surface, z, 2.6, footprint)
@@ -207,8 +209,8 @@ def _wall(
     )  # fmt: skip
     glass = scene.surfaces.window[surface] * (1.0 + 0.5 * pane)[:, None]
     glass = np.where((pane > 0.55)[:, None], 0.5 * glass + 0.32, glass)
-    colour = wall * (1 - share - frame)[:, None] + glass * share[:, None]
-    colour += frame[:, None] * single([0.80, 0.79, 0.76])
+    colour = wall * (1 - glazed - frame)[:, None] + glass * glazed[:, None]
+    colour += frame[:, None] * as_float32([0.80, 0.79, 0.76])
 
     # Shop fronts: piers, glass, and a band of the shop's colour above.
     front = ground & (shops > 0) & (length > 3.0)
@@ -220,4 +222,4 @@ def _wall(
         shop = wall * (1 - open_)[:, None] + glass * 0.9 * open_[:, None]
         shop = np.where(band[:, None], scene.surfaces.shop[surface], shop)
         colour = np.where(front[:, None], shop, colour)
-    return single(colour)
+    return as_float32(colour)

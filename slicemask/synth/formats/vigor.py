@@ -15,12 +15,14 @@ import shapely
 from numpy.typing import NDArray
 
 from slicemask.errors import SynthError
-from slicemask.synth.cameras import Panorama
-from slicemask.synth.city import City, lay_out_city
-from slicemask.synth.files import is_there, write_picture, write_text
-from slicemask.synth.render import Grade, Light, render
-from slicemask.synth.scene import Scene, View, build_scene
-from slicemask.synth.tiles import missing_tiles, write_tiles
+from slicemask.synth.formats.files import is_complete, write_picture, write_text
+from slicemask.synth.formats.tiles import missing_tiles, write_tiles
+from slicemask.synth.layout.city import City, lay_out_city
+from slicemask.synth.render.cameras import Panorama
+from slicemask.synth.render.grade import Grade
+from slicemask.synth.render.light import Light
+from slicemask.synth.render.render import render
+from slicemask.synth.render.scene import Scene, View, build_scene
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,9 @@ CITIES = (
     VigorCity("Seattle", 0.100817, 47.6131, -122.3352),
     VigorCity("Chicago", 0.111262, 41.8760, -87.6523),
 )
+# Where loaders look for labels, and what ends the names of the files there. The first holds VIGOR's
+# corrected labels; here all of them hold the same, exact ones.
+LABEL_FOLDERS = {"splits__corrected": "__corrected", "splits": "", "splits_new": ""}
 LABEL_PIXELS = 640  # the scale of the labels, whatever the size of the tiles
 STEP_PIXELS = 328
 CAMERA_HEIGHT_M = 2.5
@@ -210,7 +215,7 @@ def _choose_places(
 
     Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
     the part that is nearest to the tile's centre, as they are in VIGOR; and no tile gets more than
-    about twice its share.
+    about twice the mean.
     """
     reach = (side - 1) / 2 * step_m  # cameras have tiles on all sides
     inside = shapely.intersection(
@@ -254,7 +259,7 @@ class PanoramaTask:
         """Write the panorama unless it is there; give the number of images written."""
         plan = plan_city(self.spec)
         path = self.root / plan.info.name / "panorama" / plan.panorama_names[self.number]
-        if is_there(path, self.spec.panorama_size):
+        if is_complete(path, self.spec.panorama_size):
             return 0
         rng = self.spec.random(2, self.number)
         x, y = plan.places[self.number].tolist()
@@ -309,7 +314,7 @@ def list_tasks(root: Path, spec: VigorSpec) -> list[PanoramaTask | TilesTask]:
 
 
 def write_labels(root: Path, spec: VigorSpec) -> None:
-    """Write the label files and the list of tiles, under VIGOR's names of corrected labels."""
+    """Write the label files and the list of tiles, under each of `LABEL_FOLDERS`."""
     plan = plan_city(spec)
     lines = []
     for name, tiles, offsets in zip(
@@ -321,13 +326,14 @@ def write_labels(root: Path, spec: VigorSpec) -> None:
         lines.append(" ".join(fields))
     order = spec.random(5).permutation(len(lines))
     half = (len(lines) + 1) // 2
-    folder = root / "splits__corrected" / plan.info.name
-    for part, numbers in (
-        ("same_area_balanced_train", np.sort(order[:half])),
-        ("same_area_balanced_test", np.sort(order[half:])),
-        ("pano_label_balanced", np.arange(len(lines))),
-    ):
-        text = "".join(lines[number] + "\n" for number in numbers)
-        write_text(folder / f"{part}__corrected.txt", text)
-    tiles = np.unique(plan.positives)
-    write_text(folder / "satellite_list.txt", "".join(plan.tile_names[t] + "\n" for t in tiles))
+    listed = "".join(plan.tile_names[tile] + "\n" for tile in np.unique(plan.positives))
+    for name, suffix in LABEL_FOLDERS.items():
+        folder = root / name / plan.info.name
+        for part, numbers in (
+            ("same_area_balanced_train", np.sort(order[:half])),
+            ("same_area_balanced_test", np.sort(order[half:])),
+            ("pano_label_balanced", np.arange(len(lines))),
+        ):
+            text = "".join(lines[number] + "\n" for number in numbers)
+            write_text(folder / f"{part}{suffix}.txt", text)
+        write_text(folder / "satellite_list.txt", listed)

@@ -12,9 +12,18 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
-from slicemask.synth import meshes
-from slicemask.synth.city import City
-from slicemask.synth.elements import CAR_BODIES, Building, Car, Colour, Facade, Kind, Landmark, Tree
+from slicemask.synth.layout.city import City
+from slicemask.synth.layout.elements import (
+    CAR_BODIES,
+    Building,
+    Car,
+    Colour,
+    Facade,
+    Kind,
+    Landmark,
+    Tree,
+)
+from slicemask.synth.render import meshes
 
 View = Literal["ground", "aerial"]
 # Numbers that describe a facade: pitch, storey, width, height, shops, bricks, top.
@@ -306,7 +315,7 @@ def _add_box(
 ) -> None:
     half_x, half_y, height = size
     box, _ = meshes.hexahedron(-half_x, half_x, half_y, 0.0, height, 0.0, 0.0)
-    soup = meshes.place(box, x, y, z, (1, 1, 1), heading_deg)
+    soup = meshes.instances(box, x, y, z, (1, 1, 1), heading_deg)
     builder.add(soup, np.zeros(len(soup), dtype=np.intp), (Kind.PLAIN,), (colour,))
 
 
@@ -322,15 +331,17 @@ def _add_trees(builder: SceneBuilder, trees: Sequence[Tree]) -> None:
         template = meshes.crown(int(kind))
         # A crown of unit height reaches from 0.03 to 0.9 of it.
         tall = (height - bare) * (1.0 if kind == 0 else 1.15)
-        turn = 137.5 * np.arange(len(chosen))
-        crowns = meshes.place(template, x, y, bare, np.column_stack([radius, radius, tall]), turn)
+        rotation_deg = 137.5 * np.arange(len(chosen))
+        crowns = meshes.instances(
+            template, x, y, bare, np.column_stack([radius, radius, tall]), rotation_deg
+        )
         owner = np.repeat(np.arange(len(chosen)), len(template))
         colours = [tree.colour for tree in chosen]
         builder.add(crowns, owner, [Kind.LEAVES] * len(chosen), colours)
         trunk = meshes.tube(6)
         width = 0.05 * radius + 0.07
         scale = np.column_stack([width, width, bare + 0.45 * (height - bare)])
-        trunks = meshes.place(trunk, x, y, np.zeros(len(x)), scale, turn)
+        trunks = meshes.instances(trunk, x, y, np.zeros(len(x)), scale, rotation_deg)
         builder.add(
             trunks, np.zeros(len(trunks), dtype=np.intp), (Kind.PLAIN,), ((0.28, 0.22, 0.17),)
         )
@@ -343,7 +354,7 @@ def _add_lamps(builder: SceneBuilder, lamps: Sequence[tuple[float, float, float]
     pole = meshes.tube(6) * [0.07, 0.07, 7.0]
     arm = meshes.tube(6)[..., [0, 2, 1]] * [0.05, 1.8, 0.05] + [0, 0, 6.9]
     lamp, _ = meshes.hexahedron(-0.14, 0.14, 0.35, 6.8, 6.95, 0.0, 0.0)
-    soup = meshes.place(
+    soup = meshes.instances(
         np.concatenate([pole, arm, np.add(lamp, (0, 1.7, 0))]),
         x, y, np.zeros(len(x)), (1, 1, 1), heading,
     )  # fmt: skip
@@ -371,7 +382,7 @@ def add_landmark(builder: SceneBuilder, landmark: Landmark) -> None:
         roof, _ = meshes.hexahedron(-1.3 * r, 1.3 * r, 1.3 * r, 0.8 * h, h, r, r)
         parts = [(hut, pale), (roof, landmark.colour)]
     for part, colour in parts:
-        soup = meshes.place(part, landmark.x, landmark.y, 0.0, (1, 1, 1), 0.0)
+        soup = meshes.instances(part, landmark.x, landmark.y, 0.0, (1, 1, 1), 0.0)
         builder.add(soup, np.zeros(len(soup), dtype=np.intp), (Kind.PAINT,), (colour,))
 
 
@@ -383,7 +394,7 @@ def _add_cars(builder: SceneBuilder, cars: Iterable[Car]) -> None:
             continue
         template, parts = meshes.car(body)
         x, y, heading = np.array([(car.x, car.y, car.heading_deg) for car in chosen]).T
-        soup = meshes.place(template, x, y, np.zeros(len(x)), (1, 1, 1), heading)
+        soup = meshes.instances(template, x, y, np.zeros(len(x)), (1, 1, 1), heading)
         owner = (3 * np.arange(len(chosen))[:, None] + parts).reshape(-1)
         colours = [colour for car in chosen for colour in (car.colour, DARK, DARK)]
         builder.add(soup, owner, [Kind.PAINT, Kind.GLASS, Kind.PLAIN] * len(chosen), colours)

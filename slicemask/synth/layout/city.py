@@ -8,8 +8,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, Polygon
 
-from slicemask.synth.blocks import BRIGHT, draw_tree, fill_block, pick
-from slicemask.synth.elements import (
+from slicemask.synth.layout.blocks import fill_block
+from slicemask.synth.layout.elements import (
     CAR_BODIES,
     Area,
     Building,
@@ -21,15 +21,17 @@ from slicemask.synth.elements import (
     Slot,
     Tree,
 )
-from slicemask.synth.streets import (
+from slicemask.synth.layout.greenery import draw_tree
+from slicemask.synth.layout.palette import BRIGHT, vary_colour
+from slicemask.synth.layout.streets import (
     LANE_M,
     PARKING_M,
     Street,
     Style,
-    at,
     free_pieces,
     lay_streets,
     paint_markings,
+    point_and_direction,
     rectangle,
 )
 
@@ -146,7 +148,7 @@ def _kerb_slots(street: Street, piece: LineString, rng: np.random.Generator) -> 
     for line in (piece, piece.reverse()):
         busy = rng.uniform(0.15, 0.85)
         for along_m in np.arange(11.0, piece.length - 10.0, 5.9):
-            point, along = at(line, along_m + rng.uniform(-0.3, 0.3))
+            point, along = point_and_direction(line, along_m + rng.uniform(-0.3, 0.3))
             x, y = (point + aside * np.array([along[1], -along[0]])).tolist()
             slots.append(Slot(x, y, _heading(along), busy))
     return slots
@@ -165,7 +167,7 @@ def _line_kerbs(
         every = rng.uniform(8.0, 15.0)
         planted = rng.random() < 0.6 * style.tree_density
         for number, along_m in enumerate(np.arange(8.0, piece.length - 7.0, every)):
-            point, along = at(line, along_m)
+            point, along = point_and_direction(line, along_m)
             right = np.array([along[1], -along[0]])
             x, y = (point + right * (street.width_m / 2 + 1.0)).tolist()
             if number % 3 == 1:
@@ -173,12 +175,12 @@ def _line_kerbs(
             elif planted and rng.random() < 0.85:
                 plan.trees.append(draw_tree(x, y, style, rng, street=True))
         if rng.random() < 0.1:
-            point, along = at(line, 4.0)
+            point, along = point_and_direction(line, 4.0)
             right = np.array([along[1], -along[0]])
             x, y = (point + right * (street.width_m / 2 + 2.0)).tolist()
             shape = "kiosk" if rng.random() < 0.5 else "column"
             height, radius = (2.8, 1.0) if shape == "kiosk" else (4.0, 0.7)
-            plan.landmarks.append(Landmark(x, y, shape, height, radius, pick(rng, BRIGHT)))
+            plan.landmarks.append(Landmark(x, y, shape, height, radius, vary_colour(rng, BRIGHT)))
     return lamps
 
 
@@ -208,7 +210,7 @@ def _park_cars(
                 line = street.drive(lane)
                 along_m = rng.exponential(50.0)
                 while along_m < line.length:
-                    point, along = at(line, along_m)
+                    point, along = point_and_direction(line, along_m)
                     x, y = point.tolist()
                     cars.append(_draw_car(Slot(x, y, _heading(along), 1.0), rng))
                     along_m += 9.0 + rng.exponential(70.0)
@@ -217,7 +219,7 @@ def _park_cars(
 
 def _draw_car(slot: Slot, rng: np.random.Generator) -> Car:
     body = int(rng.choice(4, p=[0.4, 0.3, 0.2, 0.1]))
-    colour = pick(rng, CAR_COLOURS, 0.04)
+    colour = vary_colour(rng, CAR_COLOURS, 0.04)
     heading = slot.heading_deg + rng.normal(0.0, 1.5)
     x, y = (np.array([slot.x, slot.y]) + rng.normal(0.0, 0.12, 2)).tolist()
     return Car(x, y, float(heading), body, colour)

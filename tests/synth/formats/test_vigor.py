@@ -10,7 +10,7 @@ from slicematch.data.vigor import METRES_PER_PIXEL, VigorConfig, VigorDataset, r
 
 from slicemask.errors import SpecError, SynthError
 from slicemask.synth import generate_vigor
-from slicemask.synth.vigor import CITIES, VigorSpec, plan_city
+from slicemask.synth.formats.vigor import CITIES, VigorSpec, plan_city
 
 NAMES = ("NewYork", "SanFrancisco")
 
@@ -53,6 +53,27 @@ def test_names_labels_and_lists_are_vigors(vigor_tree, city):
              ("train", "test")]  # fmt: skip
     assert sorted(parts[0] + parts[1]) == sorted(lines)
     assert [len(part) for part in parts] == [3, 2]
+
+
+@pytest.mark.parametrize("folder", ["splits", "splits_new"])
+@pytest.mark.parametrize("city", NAMES)
+def test_labels_lie_under_the_names_that_other_loaders_open(vigor_tree, city, folder):
+    corrected, other = vigor_tree / "splits__corrected" / city, vigor_tree / folder / city
+    assert {path.name for path in other.iterdir()} == {
+        path.name.replace("__corrected", "") for path in corrected.iterdir()
+    }
+    for path in corrected.iterdir():
+        assert (other / path.name.replace("__corrected", "")).read_bytes() == path.read_bytes()
+
+
+def test_original_labels_are_the_corrected_ones(vigor_tree):
+    corrected, original = (
+        VigorDataset(VigorConfig(root=vigor_tree, cities=NAMES, labels=labels), "test")
+        for labels in ("corrected", "original")
+    )
+    assert len(corrected) == len(original) > 0
+    for index in range(len(corrected)):
+        assert np.array_equal(corrected[index]["pose"], original[index]["pose"])
 
 
 @pytest.mark.parametrize("city", NAMES)

@@ -6,21 +6,21 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slicemask.synth import meshes
-from slicemask.synth.elements import Building, Facade
-from slicemask.synth.materials import noise, pulse
+from slicemask.synth.layout.elements import Building, Facade
+from slicemask.synth.render import meshes
+from slicemask.synth.render.materials import noise, pulse
 
 
 @given(
     x=st.floats(-50, 50),
     period=st.floats(0.3, 4),
-    share=st.floats(0.05, 0.95),
+    duty=st.floats(0.05, 0.95),
     width=st.floats(0.05, 9),
 )
-def test_pulse_is_the_mean_of_stripes_over_a_pixel(x, period, share, width):
+def test_pulse_is_the_mean_of_stripes_over_a_pixel(x, period, duty, width):
     samples = x + width * ((np.arange(20_000) + 0.5) / 20_000 - 0.5)
-    expected = np.mean((samples / period) % 1.0 < share)
-    found = pulse(np.float32([x]), period, share, np.float32([width]))
+    expected = np.mean((samples / period) % 1.0 < duty)
+    found = pulse(np.float32([x]), period, duty, np.float32([width]))
     assert found[0] == pytest.approx(expected, abs=2e-3 + 3e-5 * 50 / width)
 
 

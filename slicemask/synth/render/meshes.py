@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import Polygon
 
-from slicemask.synth.elements import CAR_BODIES, Building
+from slicemask.synth.layout.elements import CAR_BODIES, Building
 
 Soup = NDArray[np.float64]
 
@@ -71,8 +71,8 @@ def triangulate(polygons: NDArray[np.object_]) -> tuple[NDArray[np.float64], NDA
     parts, owner = shapely.get_parts(cut, return_index=True)
     triangles = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
     (ax, ay), (bx, by) = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 0, -1)
-    turned = ax * by - ay * bx < 0
-    triangles[turned] = triangles[turned][:, ::-1]
+    clockwise = ax * by - ay * bx < 0
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
     return triangles, owner
 
 
@@ -193,14 +193,14 @@ def car(body: int) -> tuple[Soup, NDArray[np.intp]]:
     return soup, np.concatenate(kinds)
 
 
-def place(
+def instances(
     soup: Soup, x: ArrayLike, y: ArrayLike, z: ArrayLike, scale: ArrayLike, heading_deg: ArrayLike
 ) -> Soup:
-    """Copies of a soup, float64 [n * T, 3, 3]: scaled [n, 3], turned clockwise, and moved [n]."""
+    """Copies of a soup, float64 [n * T, 3, 3]: scaled [n, 3], rotated clockwise, and moved [n]."""
     angle = np.radians(-np.atleast_1d(np.asarray(heading_deg, dtype=float)))
     cos, sin = (part[:, None, None] for part in (np.cos(angle), np.sin(angle)))
     sized = soup[None] * np.atleast_2d(np.asarray(scale, dtype=float))[:, None, None, :]
-    turned = np.stack(
+    rotated = np.stack(
         [
             cos * sized[..., 0] - sin * sized[..., 1],
             sin * sized[..., 0] + cos * sized[..., 1],
@@ -209,7 +209,7 @@ def place(
         axis=-1,
     )
     where = np.stack(np.broadcast_arrays(*map(np.atleast_1d, (x, y, z))), axis=-1)
-    return np.asarray((turned + where[:, None, None, :]).reshape(-1, 3, 3))
+    return np.asarray((rotated + where[:, None, None, :]).reshape(-1, 3, 3))
 
 
 def as_polygons(polygons: list[Polygon]) -> NDArray[np.object_]:

@@ -8,10 +8,12 @@ from PIL import Image
 from slicematch.data.images import turn_panorama
 
 from slicemask import Frustum, slice_masks
-from slicemask.synth.cameras import SKY_M, Aerial, Panorama, Pinhole
-from slicemask.synth.elements import Kind, Landmark
-from slicemask.synth.render import Grade, Light, render
-from slicemask.synth.scene import SceneBuilder, add_landmark, build_scene
+from slicemask.synth.layout.elements import Kind, Landmark
+from slicemask.synth.render.cameras import SKY_M, Aerial, Panorama, Pinhole
+from slicemask.synth.render.grade import Grade
+from slicemask.synth.render.light import Light
+from slicemask.synth.render.render import render
+from slicemask.synth.render.scene import SceneBuilder, add_landmark, build_scene
 
 METRES_PER_PIXEL, PIXELS = 0.11, 640
 NOON = Light(180.0, 60.0, 0.8, 0.6, (0.4, 0.6, 0.8), (0.9, 0.9, 0.9), 0.0, 1e5)

@@ -3,8 +3,8 @@
 import numpy as np
 import shapely
 
-from slicemask.synth.city import lay_out_city
-from slicemask.synth.elements import Kind
+from slicemask.synth.layout.city import lay_out_city
+from slicemask.synth.layout.elements import Kind
 
 
 def test_a_seed_is_a_city(city):

@@ -6,15 +6,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slicemask.synth.cameras import Aerial
-from slicemask.synth.files import is_there, write_picture
-from slicemask.synth.render import Grade, Light, render
-from slicemask.synth.scene import Scene
+from slicemask.synth.formats.files import is_complete, write_picture
+from slicemask.synth.render.cameras import Aerial
+from slicemask.synth.render.grade import Grade
+from slicemask.synth.render.light import Light
+from slicemask.synth.render.render import render
+from slicemask.synth.render.scene import Scene
 
 
 def missing_tiles(paths: Sequence[Path], pixels: int) -> list[int]:
     """Which of the tiles are not there or not whole."""
-    return [k for k, path in enumerate(paths) if not is_there(path, (pixels, pixels))]
+    return [k for k, path in enumerate(paths) if not is_complete(path, (pixels, pixels))]
 
 
 def write_tiles(

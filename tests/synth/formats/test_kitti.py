@@ -16,7 +16,8 @@ from slicematch.data.kitti import (
 )
 
 from slicemask.errors import SynthError
-from slicemask.synth import generate_kitti, kitti
+from slicemask.synth import generate_kitti
+from slicemask.synth.formats import kitti
 
 
 def frames(root, name):

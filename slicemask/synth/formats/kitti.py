@@ -14,13 +14,15 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString
 
-from slicemask.synth.cameras import Pinhole
-from slicemask.synth.city import City, lay_out_city
-from slicemask.synth.files import is_there, write_picture, write_text
-from slicemask.synth.render import Grade, Light, render
-from slicemask.synth.scene import Scene, View, build_scene
-from slicemask.synth.streets import at
-from slicemask.synth.tiles import missing_tiles, write_tiles
+from slicemask.synth.formats.files import is_complete, write_picture, write_text
+from slicemask.synth.formats.tiles import missing_tiles, write_tiles
+from slicemask.synth.layout.city import City, lay_out_city
+from slicemask.synth.layout.streets import point_and_direction
+from slicemask.synth.render.cameras import Pinhole
+from slicemask.synth.render.grade import Grade
+from slicemask.synth.render.light import Light
+from slicemask.synth.render.render import render
+from slicemask.synth.render.scene import Scene, View, build_scene
 
 # Web mercator at zoom 18, double scale, at KITTI's latitude.
 METRES_PER_PIXEL = 156543.03392 * float(np.cos(np.radians(49.015))) / 2**18 / 2
@@ -33,8 +35,8 @@ LATITUDE, LONGITUDE = 49.015, 8.42
 METRES_PER_DEGREE = 111_320.0
 FRAME_STEP_M = 4.0
 MOST_FRAMES = 20  # of a drive
-# About the shares that LM's files have.
-TRAIN_SHARE, TEST1_SHARE = 0.64, 0.12
+# About the fractions that LM's files have.
+TRAIN_FRACTION, TEST1_FRACTION = 0.64, 0.12
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,8 @@ class KittiPlan:
 
 def count_frames(frames: int) -> tuple[tuple[int, int], tuple[int]]:
     """Frames of (training, first test) and of (second test), none of them empty."""
-    train = max(1, round(frames * TRAIN_SHARE))
-    test1 = max(1, round(frames * TEST1_SHARE))
+    train = max(1, round(frames * TRAIN_FRACTION))
+    test1 = max(1, round(frames * TEST1_FRACTION))
     return (train, test1), (max(1, frames - train - test1),)
 
 
@@ -124,10 +126,10 @@ def plan_drives(spec: KittiSpec) -> KittiPlan:
             drive += 1
             name = f"{DATES[spec.area]}/{DATES[spec.area]}_drive_{drive:04d}_sync"
             for frame in range(run):
-                point, along = at(lane, start + frame * FRAME_STEP_M)
+                point, along = point_and_direction(lane, start + frame * FRAME_STEP_M)
                 places.append(point + rng.normal(0, 0.15, 2))
-                turn = rng.normal(0, 1.0)
-                headings.append((np.degrees(np.arctan2(along[0], along[1])) + turn) % 360.0)
+                off_lane_deg = rng.normal(0, 1.0)
+                headings.append((np.degrees(np.arctan2(along[0], along[1])) + off_lane_deg) % 360.0)
                 frames.append(f"{name}/{frame:010d}.png")
                 parts.append(part)
             left -= run
@@ -173,7 +175,7 @@ class GroundTask:
         """Write the image unless it is there; give the number of images written."""
         plan, spec = plan_drives(self.spec), self.spec
         path = ground_path(self.root, plan.frames[self.number])
-        if is_there(path, spec.image_size):
+        if is_complete(path, spec.image_size):
             return 0
         columns, rows = spec.image_size
         x, y = plan.places[self.number].tolist()

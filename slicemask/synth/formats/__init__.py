@@ -1,0 +1,1 @@
+"""The data sets that generated cities are written as: VIGOR and KITTI."""

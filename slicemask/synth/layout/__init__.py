@@ -1,0 +1,1 @@
+"""What stands where in a generated city: streets, blocks and their elements, without pictures."""
