@@ -80,7 +80,10 @@ def check_seal(path: Path) -> None:
 def _fault(block: bytes) -> str:
     """What is wrong with a first block that is no seal."""
     if not block:
-        return "is empty, not a slicemask bank"
+        return (
+            "is empty, not a slicemask bank; remove it, or build it again with "
+            "slicemask build --force"
+        )
     if block.startswith(_MAGIC):
         if len(block) < SEAL_BYTES:
             return (
