@@ -124,7 +124,7 @@ def build_bank(
     jobs : int, optional
         Threads; as many as there are processors by default.
     progress : callable, optional
-        Called with (poses done, poses in all) as the work goes on, from a thread of the build's.
+        Called with (poses done, poses in all) as the work goes on, from the thread that builds.
     limits : MemoryLimits, optional
         What bounds memory.
 
@@ -243,13 +243,13 @@ def _build(
     check: CancelCheck,
     locked: bool,
 ) -> int:
-    """Build the bank and give its number of rows."""
+    """Build the bank and return its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
     pool = ThreadPoolExecutor(jobs)
     with BankWriter(path, spec, pool, locked) as writer, contextlib.ExitStack() as after:
-        # After an error, what no thread has begun is dropped.
+        # After an error, work that no thread has started is dropped.
         after.callback(pool.shutdown, cancel_futures=True)
-        # The engine is imported while the first slices are found. An error comes again with them.
+        # The engine is imported while the first slices are found; an error would recur with them.
         pool.submit(engine_fractions, spec.engine)
         index = after.enter_context(_empty_index((total, slices), path.parent, limits))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
