@@ -5,7 +5,8 @@ from typing import Any
 
 import torch
 from slicematch.evaluation.timing import median_seconds, time_settings
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 
 from benchmarks.figure import Figure
 from benchmarks.scoring import GRIDS, random_pair

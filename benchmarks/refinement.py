@@ -14,7 +14,8 @@ import click
 import torch
 from slicematch.localization.refinement import Domain, Similarity, find_modes, refine_modes
 from slicematch.network.aggregation import unit
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
@@ -42,7 +43,7 @@ def main(runs: int) -> None:
         start = time.process_time()
         with torch.no_grad():
             scores = score_candidates(ground, features, attention, candidates)
-        grid = candidates.on_grid(scores)[0].numpy()
+        grid = candidates.scatter_to_grid(scores)[0].numpy()
         seconds["grid"].append(time.process_time() - start)
         for how in ("fine", "continuous"):
             start = time.process_time()

@@ -11,7 +11,8 @@ import time
 from pathlib import Path
 
 import torch
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 
 from benchmarks.scoring import random_pair
 from slicemask import open_bank

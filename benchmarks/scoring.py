@@ -13,7 +13,8 @@ from pathlib import Path
 import torch
 from slicematch.network.aggregation import unit
 from slicematch.network.slicematch import SliceMatch
-from slicematch.scoring.scores import Candidates, score_candidates, score_masks
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates, score_masks
 from slicematch.training.losses import contrastive_loss
 from torch import Tensor
 

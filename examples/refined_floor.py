@@ -18,7 +18,8 @@ import torch
 from slicematch.evaluation.metrics import PoseErrors, pose_errors
 from slicematch.localization.refinement import Domain, Refine, Similarity, find_modes, refine_modes
 from slicematch.network.aggregation import aerial_descriptors
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 from torch.nn import functional as F  # noqa: N812
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank, slice_masks
@@ -74,7 +75,7 @@ def measure(
         masks = torch.from_numpy(slice_masks(truth[None], frustum, CELLS, "rays")).float()
         ground = aerial_descriptors(features, attention, masks[None])[:, 0]
         scores = score_candidates(ground, features, attention, candidates)
-        modes, _ = find_modes(candidates.on_grid(scores)[0].numpy(), grid)
+        modes, _ = find_modes(candidates.scatter_to_grid(scores)[0].numpy(), grid)
         similarity = Similarity(ground[0], features[0], attention[0], frustum)
         for how, found in answers.items():
             poses = modes

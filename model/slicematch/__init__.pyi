@@ -3,7 +3,7 @@ from .localization.localizer import Estimate as Estimate
 from .localization.localizer import Localizer as Localizer
 from .network.slicematch import SliceMatch as SliceMatch
 from .runs.config import TrainConfig as TrainConfig
-from .scoring.scores import Candidates as Candidates
+from .scoring.candidates import Candidates as Candidates
 from .training.train import train as train
 
 __all__: list[str]

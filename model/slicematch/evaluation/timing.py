@@ -18,7 +18,8 @@ from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer, load_candidates
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.folder import Checkpoint
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 
 
 @dataclass(frozen=True)

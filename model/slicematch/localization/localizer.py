@@ -39,7 +39,8 @@ from slicematch.localization.refinement import (
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import Checkpoint, RunFolder
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 
 Picture = str | Path | Image.Image | NDArray[np.uint8]
 # Tiles whose features are kept; those of VGG16 take 2 MB each.
@@ -463,7 +464,7 @@ class Localizer:
         with torch.no_grad():
             attention = self.model.attend(aerial, ground)
             scored = score_candidates(ground, aerial, attention, candidates)
-            scores = candidates.on_grid(scored).cpu().numpy()
+            scores = candidates.scatter_to_grid(scored).cpu().numpy()
         estimates = []
         for b in range(len(scores)):
             similarity = Similarity(ground[b], aerial[b], attention[b], self.frustum)

@@ -1,13 +1,20 @@
-"""Slice descriptors of the ground image and of the poses: SliceMatch, CVPR 2023, eq. 2 to 4.
+"""Descriptors of the ground image and of the poses: SliceMatch, CVPR 2023, eq. 2 to 4.
 
-Shapes: B pairs, C channels, H x W ground cells, L x L aerial cells, N slices, K poses.
+Shapes: S pairs, C channels, H x W ground cells, L x L aerial cells, N slices, B bands of range (1
+where there are none), K poses. Descriptors of bands stand slice by slice: [S, N * B, C].
 
-Mixed precision ends at the encoders: here, as in `slicematch.scoring.scores`, autocast is off.
+Mixed precision ends at the encoders: here, as in `slicematch.scoring`, autocast is off.
 """
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812  the name torch's own documents use
+
+# Added to the squared length of a vector that is scaled to length 1 (ours). Means of features have
+# squared lengths around 1; of one shorter than 1e-4, the gradient would grow without bound.
+EPSILON = 1e-8
+# The least area of a slice, in cells, for whose mean features are divided by all of it.
+_LEAST_AREA = 1e-12
 
 
 class GroundAggregator(nn.Module):
@@ -24,72 +31,80 @@ class GroundAggregator(nn.Module):
     def __init__(self, channels: int, slices: int) -> None:
         super().__init__()
         self.slices = slices
-        self.attention = _Attention(channels)
+        self.attention = Attention(channels)
 
     def forward(self, features: Tensor) -> Tensor:
         """Ground descriptors d_g^n.
 
         Parameters
         ----------
-        features : float [B, C, H, W]
+        features : float [S, C, H, W]
             z_g. Where N does not divide W, its attended map is first interpolated linearly along
             W to the next multiple of N.
 
         Returns
         -------
-        descriptors : float [B, N, C]
+        descriptors : float [S, N, C]
             Unit length; zero where a slice's features are all zero.
         """
-        height, width = features.shape[-2:]
-        cells = -(-width // self.slices)
         with torch.autocast(features.device.type, enabled=False):
             attended = features * self.attention(features)  # z'_g = M_g * z_g
-            if cells * self.slices != width:
-                size = (height, cells * self.slices)
-                attended = F.interpolate(attended, size, mode="bilinear", align_corners=False)
-            means = attended.unflatten(-1, (self.slices, cells)).mean(dim=(2, 4))  # [B, C, N]
-            return unit(means.transpose(1, 2))
+            return unit(slice_means(attended, self.slices).mean(dim=2).transpose(1, 2))
 
 
 class AerialAttention(nn.Module):
-    """What each ground slice looks for in the aerial feature map (eq. 3).
+    """What each ground descriptor looks for in the aerial feature map (eq. 3).
 
     Parameters
     ----------
     channels : int
         C.
     cross_view : bool
-        Whether the attention sees the similarity to the ground slice; without it (the paper's
-        ablation) all slices share one attention map.
+        Whether the attention sees the similarity to the ground descriptor; without it (the
+        paper's ablation) all slices share one attention map.
     """
 
     def __init__(self, channels: int, cross_view: bool = True) -> None:
         super().__init__()
         self.cross_view = cross_view
-        self.attention = _Attention(channels, similarity=cross_view)
+        self.attention = Attention(channels, similarity=cross_view)
 
     def forward(self, features: Tensor, ground: Tensor) -> Tensor:
-        """Attention maps M_a^n.
+        """Attention maps M_a^n, or with bands M_a^{n,b}.
 
         Parameters
         ----------
-        features : float [B, C, L, L]
+        features : float [S, C, L, L]
             z_a.
-        ground : float [B, N, C]
-            d_g^n, of unit length.
+        ground : float [S, N * B, C]
+            d_g^{n,b}.
 
         Returns
         -------
-        attention : float [B, N, L, L]
+        attention : float [S, N * B, L, L], or [S, 1, L, L] without cross-view attention
             In (0, 1).
         """
         with torch.autocast(features.device.type, enabled=False):
             if not self.cross_view:
-                return self.attention(features).expand(-1, ground.shape[1], -1, -1)
-            directions = unit(features.movedim(1, -1))  # [B, L, L, C]
+                return self.attention(features)
+            directions = unit(features.movedim(1, -1))  # [S, L, L, C]
             # S^n, the cosine (ours)
-            similarity = torch.einsum("bijc,bnc->bnij", directions, ground)
+            similarity = torch.einsum("sijc,snc->snij", directions, unit(ground))
             return self.attention(features, similarity)
+
+
+def slice_means(features: Tensor, slices: int) -> Tensor:
+    """Means over the columns of each slice, row by row: [S, C, H, W] to [S, C, H, N].
+
+    Where N does not divide W, the map is first interpolated linearly along W to the next multiple
+    of N.
+    """
+    height, width = features.shape[-2:]
+    columns = -(-width // slices)
+    if columns * slices != width:
+        size = (height, columns * slices)
+        features = F.interpolate(features, size, mode="bilinear", align_corners=False)
+    return features.unflatten(-1, (slices, columns)).mean(dim=-1)
 
 
 def aerial_descriptors(features: Tensor, attention: Tensor, masks: Tensor) -> Tensor:
@@ -97,50 +112,74 @@ def aerial_descriptors(features: Tensor, attention: Tensor, masks: Tensor) -> Te
 
     Parameters
     ----------
-    features : float [B, C, L, L]
+    features : float [S, C, L, L]
         z_a.
-    attention : float [B, N, L, L]
-        M_a^n.
-    masks : float [B, K, N, L, L]
-        P^{k,n}: the share of each cell that slice n of pose k covers.
+    attention : float [S, N * B, L, L] or [S, 1, L, L]
+        M_a^{n,b}, or the map that all slices and bands share.
+    masks : float [S, K, N * B, L, L]
+        P^{k,n,b}: the share of each cell that band b of slice n of pose k covers.
 
     Returns
     -------
-    descriptors : float [B, K, N, C]
-        Unit length. The descriptor of an empty slice is zero, and so is its gradient (ours).
+    descriptors : float [S, K, N * B, C]
+        Unit length. The descriptor of an empty mask is zero, and so is its gradient (ours).
     """
-    # The paper's mean, sum P z' / sum P, has the direction of sum P z', and only the direction
-    # outlives Norm; leaving the division out also leaves no 0 / 0 behind.
     weights = masks * attention[:, None]
-    return unit(torch.einsum("bknij,bcij->bknc", weights, features))
+    areas = masks.sum(dim=(-2, -1)).clamp_min(_LEAST_AREA)
+    return unit(torch.einsum("sknij,scij->sknc", weights, features) / areas[..., None])
 
 
-class _Attention(nn.Module):
-    """sigmoid(conv1x1(.)): two 1x1 convolutions with a ReLU between, C // 2 wide (ours)."""
+class Attention(nn.Module):
+    """sigmoid(conv1x1(.)): two 1x1 convolutions with a ReLU between, C // 2 wide (ours).
 
-    def __init__(self, channels: int, similarity: bool = False) -> None:
+    Parameters
+    ----------
+    channels : int
+        Of the feature maps.
+    similarity : bool
+        Whether a map of similarities is seen beside them, one for each attention map.
+    maps : int
+        How many attention maps come out; with similarities, as many as there are of those.
+    """
+
+    def __init__(self, channels: int, similarity: bool = False, maps: int = 1) -> None:
         super().__init__()
         width = max(1, channels // 2)
         self.channels = channels
         self.first = nn.Conv2d(channels + similarity, width, 1)
-        self.second = nn.Conv2d(width, 1, 1)
+        self.second = nn.Conv2d(width, maps, 1)
 
     def forward(self, features: Tensor, similarity: Tensor | None = None) -> Tensor:
-        """[B, C, H, W] and, where it is used, [B, N, H, W] to [B, N or 1, H, W]."""
+        """Attention maps in (0, 1).
+
+        Parameters
+        ----------
+        features : float [S, C, H, W]
+        similarity : float [S, N, H, W], optional
+
+        Returns
+        -------
+        attention : float [S, N or maps, H, W]
+        """
+        return torch.sigmoid(self.logits(features, similarity))
+
+    def logits(self, features: Tensor, similarity: Tensor | None = None) -> Tensor:
+        """What the sigmoid is taken of; arguments and shapes as for the maps."""
         # The first convolution of concat(z, S^n) is the sum of those of z and of S^n: the
         # larger part is the same for all slices and done once.
         weight = self.first.weight
         hidden = F.conv2d(features, weight[:, : self.channels], self.first.bias)[:, None]
         if similarity is not None:
             hidden = hidden + weight[:, self.channels] * similarity[:, :, None]
-        hidden = F.relu(hidden)  # [B, N or 1, width, H, W]
-        return torch.sigmoid(self.second(hidden.flatten(0, 1))).view(
-            hidden.shape[0], hidden.shape[1], *hidden.shape[-2:]
-        )
+        hidden = F.relu(hidden)  # [S, N or 1, width, H, W]
+        return self.second(hidden.flatten(0, 1)).view(hidden.shape[0], -1, *hidden.shape[-2:])
 
 
 def unit(vectors: Tensor) -> Tensor:
-    """Vectors scaled to length 1 along the last axis; a zero vector stays zero.
+    """Vectors scaled to length 1 along the last axis: v / sqrt(|v|^2 + 1e-8).
+
+    The epsilon keeps the gradient finite: it is below 1e4 for the shortest vectors, which scaled
+    exactly would have one without bound.
 
     Parameters
     ----------
@@ -149,8 +188,10 @@ def unit(vectors: Tensor) -> Tensor:
     Returns
     -------
     units : float [..., C]
-        The gradient at a zero vector is zero, never NaN or infinite.
+        In the dtype of the vectors, computed in float32 at least; a zero vector stays zero, and
+        passes no gradient.
     """
-    squared = vectors.square().sum(dim=-1, keepdim=True)
-    some = squared > 0
-    return vectors * torch.where(some, squared, 1.0).rsqrt() * some
+    # A half-precision square overflows for a length of 256, and a bfloat16 one has three digits.
+    exact = vectors.to(torch.promote_types(vectors.dtype, torch.float32))
+    squared = exact.square().sum(dim=-1, keepdim=True)
+    return (exact * (squared + EPSILON).rsqrt() * (squared > 0)).to(vectors.dtype)

@@ -8,14 +8,17 @@ from torch import Tensor, nn
 from slicematch.devices import Precision, check_precision
 from slicematch.errors import ConfigError
 from slicematch.network.aggregation import AerialAttention, GroundAggregator
+from slicematch.network.bands import BandedGroundAggregator, RangeBands
 from slicematch.network.encoders import Encoder
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import score_candidates
 
 
 class SliceMatch(nn.Module):
     """Cross-view pose estimation by slices: Lentsch, Xia, Caesar, Kooij, CVPR 2023.
 
-    Shapes: B pairs, C channels, N slices, L x L aerial cells, K poses.
+    Shapes: S pairs, C channels, N slices, B bands of range (1 where there are none), L x L aerial
+    cells, K poses.
 
     Parameters
     ----------
@@ -33,6 +36,8 @@ class SliceMatch(nn.Module):
         N.
     cross_view_attention : bool
         Whether the aerial attention sees the ground descriptors (eq. 3).
+    bands : RangeBands, optional
+        The bands of range that slices are cut into (ours); none in the paper.
 
     Attributes
     ----------
@@ -56,6 +61,7 @@ class SliceMatch(nn.Module):
         stride: int = 16,
         slices: int = 16,
         cross_view_attention: bool = True,
+        bands: RangeBands | None = None,
     ) -> None:
         super().__init__()
         if slices < 1:
@@ -64,11 +70,16 @@ class SliceMatch(nn.Module):
         self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights)
         self.channels = self.aerial_encoder.channels
         self.cells = self.aerial_encoder.feature_size[0]
-        self.ground_aggregator = GroundAggregator(self.channels, slices)
+        self.ground_aggregator: nn.Module
+        if bands is None:
+            self.ground_aggregator = GroundAggregator(self.channels, slices)
+        else:
+            rows = self.ground_encoder.feature_size[0]
+            self.ground_aggregator = BandedGroundAggregator(self.channels, slices, rows, bands)
         self.aerial_attention = AerialAttention(self.channels, cross_view_attention)
 
     def forward(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
-        """Images [B, 3, height, width] and [B, 3, A, A] to scores [B, K] of K candidates."""
+        """Images [S, 3, height, width] and [S, 3, A, A] to scores [S, K] of K candidates."""
         return self.score(self.encode_ground(ground), self.encode_aerial(aerial), candidates)
 
     def for_inference(self, device: torch.device, precision: Precision = "32-true") -> "SliceMatch":
@@ -90,19 +101,22 @@ class SliceMatch(nn.Module):
             encoder.precision = check_precision(precision, device)
             # Convolutions with channels last take less time, VGG16's three quarters on a CPU.
             # Not so in training: the order of its sums, and so its results, would change.
-            encoder.to(memory_format=torch.channels_last)
+            encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return self.eval().to(device)
 
     def encode_ground(self, images: Tensor) -> Tensor:
-        """Ground images [B, 3, height, width] to unit descriptors d_g^n [B, N, C]."""
+        """Ground images [S, 3, height, width] to descriptors d_g^{n,b} [S, N * B, C]."""
         return self.ground_aggregator(self.ground_encoder(images))
 
     def encode_aerial(self, images: Tensor) -> Tensor:
-        """Aerial images [B, 3, A, A] to feature maps z_a [B, C, L, L]."""
+        """Aerial images [S, 3, A, A] to feature maps z_a [S, C, L, L]."""
         return self.aerial_encoder(images)
 
     def attend(self, aerial: Tensor, ground: Tensor) -> Tensor:
-        """Attention maps M_a^n [B, N, L, L] of z_a [B, C, L, L] for d_g^n [B, N, C]."""
+        """Attention maps M_a of z_a [S, C, L, L] for d_g [S, N * B, C].
+
+        [S, N * B, L, L], or [S, 1, L, L] without cross-view attention.
+        """
         return self.aerial_attention(aerial, ground)
 
     def score(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
@@ -110,16 +124,16 @@ class SliceMatch(nn.Module):
 
         Parameters
         ----------
-        ground : float [B, N, C]
+        ground : float [S, N * B, C]
             What `encode_ground` gives.
-        aerial : float [B, C, L, L]
+        aerial : float [S, C, L, L]
             What `encode_aerial` gives.
         candidates : Candidates
             K poses.
 
         Returns
         -------
-        scores : float [B, K]
-            Cosines, in [-1, 1]; `Candidates.on_grid` lays them on the grid.
+        scores : float [S, K]
+            Cosines, in [-1, 1]; `Candidates.scatter_to_grid` lays them on the grid.
         """
         return score_candidates(ground, aerial, self.attend(aerial, ground), candidates)

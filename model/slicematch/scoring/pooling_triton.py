@@ -1,4 +1,4 @@
-"""The shares of `slicematch.scoring.pooling`, each mask's by one program of a GPU (Triton).
+"""Contributions to scores, each mask's by one program of a GPU (Triton).
 
 A mask's features go from the feature map to the multiprocessor's registers, are multiplied there
 with the weights of the slice numbers, and leave as two scalars a slice number: nothing is gathered
@@ -13,7 +13,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from slicematch.scoring.pooling import Masks, PoolingPlan
+from slicematch.network.aggregation import EPSILON
+from slicematch.scoring.plan import Masks, PoolingPlan
 
 # Cells and channels of which a program holds the features at a time, and sums that it holds: what
 # leaves registers for a second and a third program beside it, by the compiler's count for an H100.
@@ -23,10 +24,8 @@ _WARPS, _STAGES = 4, 4
 _LEAST = 16
 
 
-def pool_shares_fused(
-    plan: PoolingPlan, features: Tensor, attention: Tensor, dots: Tensor
-) -> Tensor:
-    """Shares of one pair, float32 [shares, 2], as `pool_shares` gives them.
+def pool_fused(plan: PoolingPlan, features: Tensor, attention: Tensor, dots: Tensor) -> Tensor:
+    """Shares of one pair, float32 [contributions, 2], as `pool_by_slice` gives them.
 
     Parameters
     ----------
@@ -41,14 +40,14 @@ def pool_shares_fused(
     """
     # The kernel knows of no strides.
     features, attention, dots = (x.contiguous() for x in (features, attention, dots))
-    shares = features.new_empty(plan.shares, 2)
+    contributions = features.new_empty(plan.contributions, 2)
     slices = dots.shape[1]
-    _launch(plan.many, plan.masks, features, attention, dots, shares, slices)
+    _launch(plan.many, plan.masks, features, attention, dots, contributions, slices)
     first = len(plan.many) * slices
     for n, (rows, _) in enumerate(plan.single):
-        _launch(rows, plan.masks, features, attention[:, n:], dots[:, n:], shares[first:], 1)
+        _launch(rows, plan.masks, features, attention[:, n:], dots[:, n:], contributions[first:], 1)
         first += len(rows)
-    return shares
+    return contributions
 
 
 def _launch(
@@ -57,10 +56,10 @@ def _launch(
     features: Tensor,
     attention: Tensor,
     dots: Tensor,
-    shares: Tensor,
+    contributions: Tensor,
     slices: int,
 ) -> None:
-    """Fill the first shares: of each row of the masks with so many slice numbers."""
+    """Fill the first contributions: of each row of the masks with so many slice numbers."""
     if not len(rows):
         return
     channels = features.shape[1]
@@ -73,10 +72,11 @@ def _launch(
             features,
             attention,
             dots,
-            shares,
+            contributions,
             slices,
             dots.stride(0),
             channels,
+            EPSILON,
             SLICES=held_slices,
             CHANNELS=max(_LEAST, held_channels),
             CELLS=_CELLS,
@@ -86,7 +86,7 @@ def _launch(
 
 
 @triton.jit
-def _pool(
+def _pool(  # type: ignore[no-untyped-def]
     rows,
     starts,
     cells,
@@ -94,10 +94,11 @@ def _pool(
     features,
     attention,
     dots,
-    shares,
+    contributions,
     slices,
     stride,
     channels,
+    epsilon,
     SLICES: tl.constexpr,  # noqa: N803
     CHANNELS: tl.constexpr,  # noqa: N803
     CELLS: tl.constexpr,  # noqa: N803
@@ -135,7 +136,7 @@ def _pool(
         squares += tl.sum(pooled * pooled, axis=1)
 
     some = squares > 0
-    share = tl.where(some, products / tl.sqrt(tl.where(some, squares, 1.0)), 0.0)
-    to = shares + (program * slices + n) * 2
-    tl.store(to, share, mask=n < slices)
+    contribution = tl.where(some, products / tl.sqrt(squares + epsilon), 0.0)
+    to = contributions + (program * slices + n) * 2
+    tl.store(to, contribution, mask=n < slices)
     tl.store(to + 1, some.to(tl.float32), mask=n < slices)

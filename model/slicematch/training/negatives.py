@@ -14,7 +14,7 @@ from torch import Tensor
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 from slicematch.localization.refinement import Domain, grid_steps
-from slicematch.scoring.scores import Candidates
+from slicematch.scoring.candidates import Candidates
 
 # How many offsets of the grid a run draws from: banks of them are built at its start.
 OFFSETS = 16

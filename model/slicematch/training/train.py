@@ -34,7 +34,8 @@ from slicematch.localization.refinement import Domain
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import RunFolder, build_model, load_weights, read_checkpoint
-from slicematch.scoring.scores import Candidates, heat_map, score_candidates, score_masks
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.scores import heat_map, score_candidates, score_masks
 from slicematch.training.losses import contrastive_loss
 from slicematch.training.negatives import jittered_candidates, near_poses
 
@@ -541,7 +542,7 @@ class _Example(lightning.Callback):
         model.train()
         figure = draw_estimate(
             denormalise(sample["aerial"]),
-            heat_map(candidates.on_grid(scores))[0].cpu().numpy(),
+            heat_map(candidates.scatter_to_grid(scores))[0].cpu().numpy(),
             self.grid,
             candidates.poses[int(scores.argmax())],
             module.frustum,

@@ -91,7 +91,7 @@ def test_it_scores_as_the_model_does_on_the_data_sets_samples(localizer, run, im
         scores = localizer.model(
             sample["ground"][None], sample["aerial"][None], localizer.candidates
         )
-    expected = localizer.candidates.on_grid(scores)[0].numpy()
+    expected = localizer.candidates.scatter_to_grid(scores)[0].numpy()
     np.testing.assert_allclose(localizer.localize(*images).scores, expected, atol=1e-5)
 
 

@@ -20,8 +20,7 @@ def sigmoid(x):
 
 
 def norm(x):
-    length = np.sqrt(np.sum(x**2))
-    return x / length if length > 0 else np.zeros_like(x)
+    return x / np.sqrt(np.sum(x**2) + 1e-8)
 
 
 def conv1x1_twice(attention, x):
@@ -57,7 +56,7 @@ def loops_attention(module, z, ground):
     for n in range(len(ground)):
         for i in range(size):
             for j in range(size):
-                similarity = norm(z[:, i, j]) @ ground[n]
+                similarity = norm(z[:, i, j]) @ norm(ground[n])
                 seen = np.append(z[:, i, j], similarity) if module.cross_view else z[:, i, j]
                 attention[n, i, j] = sigmoid(conv1x1_twice(module.attention, seen))
     return attention
@@ -119,10 +118,11 @@ def test_attention_reads_like_equation_3(pair, cross_view):
     module = AerialAttention(6, cross_view).double()
     ground = unit(torch.randn(2, 4, 6, dtype=torch.float64))
     found = module(pair[1], ground).detach().numpy()
-    assert found.shape == (2, 4, 5, 5)
+    assert found.shape == (2, 4 if cross_view else 1, 5, 5)  # one map is shared by all
     for b in range(2):
         expected = loops_attention(module, pair[1][b].numpy(), ground[b].numpy())
-        np.testing.assert_allclose(found[b], expected, rtol=0, atol=1e-12)
+        shown = np.broadcast_to(found[b], expected.shape)
+        np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-12)
     assert cross_view == bool(np.ptp(found, axis=1).max() > 1e-6)
 
 
@@ -184,9 +184,41 @@ def test_empty_slices_are_zero_in_values_and_gradients(pair):
     assert features.grad.abs().max() > 0
 
 
-def test_a_unit_vector_of_a_zero_vector_is_zero():
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_unit_vectors_have_finite_gradients_down_to_the_shortest_vectors(dtype):
+    # From vectors far longer than any feature to the denormals of each type, and zero.
+    info = torch.finfo(dtype)
+    longest = min(np.log2(info.max), 60.0)
+    exponents = np.arange(np.log2(info.smallest_normal) - 10, longest, 1.0)
+    lengths = torch.tensor([0.0, *2.0**exponents]).to(dtype)
+    directions = torch.tensor([[0.6, -0.8, 0.0], [1.0, 0.0, 0.0], [0.5, 0.5, 0.5]]).to(dtype)
+    vectors = (lengths[:, None, None] * directions).requires_grad_()
+    units = unit(vectors)
+    assert units.dtype == dtype
+    (gradient,) = torch.autograd.grad(units, vectors, torch.randn(units.shape).to(dtype))
+    for found in (units, gradient):
+        assert torch.isfinite(found).all()
+    assert (units[0] == 0).all()
+    assert (gradient[0] == 0).all()
+
+
+def test_unit_vectors_are_unit_vectors():
     vectors = torch.tensor([[0.0, 0.0], [3.0, 4.0]], requires_grad=True)
     units = unit(vectors)
     units[:, 0].sum().backward()
     torch.testing.assert_close(units.detach(), torch.tensor([[0.0, 0.0], [0.6, 0.8]]))
     torch.testing.assert_close(vectors.grad, torch.tensor([[0.0, 0.0], [0.128, -0.096]]))
+
+
+@pytest.mark.parametrize("area", [1e-3, 1e-10, 1e-25])
+def test_a_sliver_has_the_descriptor_of_its_mean(area):
+    """However little of a cell a mask covers; trainings with such masks ended in NaN."""
+    features = torch.randn(1, 6, 2, 2, requires_grad=True)
+    masks = torch.zeros(1, 1, 1, 2, 2)
+    masks[..., 0, 1] = area
+    attention = torch.rand(1, 1, 2, 2, requires_grad=True)
+    descriptors = aerial_descriptors(features, attention, masks)
+    if area > 1e-12:  # what is smaller counts as less and less
+        torch.testing.assert_close(descriptors[0, 0, 0], unit(features[0, :, 0, 1]))
+    gradients = torch.autograd.grad(descriptors.sum(), (features, attention))
+    assert all(torch.isfinite(gradient).all() for gradient in gradients)

@@ -8,8 +8,9 @@ import torch
 from click.testing import CliRunner
 from slicematch.localization.refinement import Similarity
 from slicematch.network.aggregation import unit
+from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.pooling import _has_kernel
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.scores import score_candidates
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank, slice_masks
 from slicemask.cli.main import main

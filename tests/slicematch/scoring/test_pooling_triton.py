@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 from slicematch.network.aggregation import unit
-from slicematch.scoring.pooling import _builds, pool_shares
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.pooling import _builds, pool_by_slice
+from slicematch.scoring.scores import score_candidates
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 
@@ -20,10 +21,10 @@ HALF_WIDTH = 105.0  # of a heading prior, in degrees, that leaves masks of both 
 
 
 @pytest.fixture
-def pool_shares_fused():
-    from slicematch.scoring.pooling_triton import pool_shares_fused
+def pool_fused():
+    from slicematch.scoring.pooling_triton import pool_fused
 
-    return pool_shares_fused
+    return pool_fused
 
 
 @pytest.fixture
@@ -57,41 +58,41 @@ def make(tmp_path, grid, frustum, channels):
 )
 @pytest.mark.parametrize("half_width", [180.0, HALF_WIDTH])
 def test_shares_are_those_of_the_plain_path(
-    pool_shares_fused, tmp_path, grid, frustum, channels, half_width
+    pool_fused, tmp_path, grid, frustum, channels, half_width
 ):
     candidates, (ground, features, attention) = make(tmp_path, grid, frustum, channels)
-    plan = candidates.within(heading_prior_deg=(0.0, half_width)).pooling
-    expected = pool_shares(plan, ground, features, attention, values_at_once=1 << 20)
+    plan = candidates.within(heading_prior_deg=(0.0, half_width)).plans[0]
+    expected = pool_by_slice(plan, ground, features, attention, values_at_once=1 << 20)
     dots = attention * (features @ ground.T)
-    found = pool_shares_fused(plan, features, attention, dots)
+    found = pool_fused(plan, features, attention, dots)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
     turned = (x.T.contiguous().T for x in (features, attention, dots))
-    found = pool_shares_fused(plan, *turned)
+    found = pool_fused(plan, *turned)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
 
 
 def test_both_ways_to_pool_are_tried(tmp_path):
     candidates, _ = make(tmp_path, "1x2x32", Frustum(360, 16), 1)
-    plan = candidates.within(heading_prior_deg=(0.0, HALF_WIDTH)).pooling
+    plan = candidates.within(heading_prior_deg=(0.0, HALF_WIDTH)).plans[0]
     assert len(plan.many)
     assert any(len(rows) for rows, _ in plan.single)
 
 
-def test_masks_and_descriptors_of_nothing_share_nothing(pool_shares_fused, tmp_path):
+def test_masks_and_descriptors_of_nothing_share_nothing(pool_fused, tmp_path):
     poses = [[1.0, 1.0, 135.0], [0.5, 0.5, 135.0]]  # in a corner and looking out, and not
     with open_bank(build_bank(poses, Frustum(60, 4), CELLS, cache=tmp_path).path) as bank:
-        plan = Candidates.from_bank(bank, DEVICE).pooling
+        plan = Candidates.from_bank(bank, DEVICE).plans[0]
     features = torch.ones(CELLS * CELLS, 16, device=DEVICE)
     attention = torch.ones(CELLS * CELLS, 4, device=DEVICE)
     attention[:, 2] = 0
-    shares = pool_shares_fused(plan, features, attention, attention)
-    assert shares[plan.slot.long()][..., 1].tolist() == [[0, 0, 0, 0], [1, 1, 0, 1]]
-    assert (shares[shares[:, 1] == 0] == 0).all()
-    assert torch.isfinite(shares).all()
+    contributions = pool_fused(plan, features, attention, attention)
+    assert contributions[plan.slot.long()][..., 1].tolist() == [[0, 0, 0, 0], [1, 1, 0, 1]]
+    assert (contributions[contributions[:, 1] == 0] == 0).all()
+    assert torch.isfinite(contributions).all()
 
 
 def test_scores_take_the_kernel_where_it_can_be_had(
-    pool_shares_fused, untried, tmp_path, monkeypatch, caplog
+    pool_fused, untried, tmp_path, monkeypatch, caplog
 ):
     from slicematch.scoring import pooling, pooling_triton
 
@@ -102,25 +103,25 @@ def test_scores_take_the_kernel_where_it_can_be_had(
     def watched(*arguments):
         plan = arguments[0]
         used.append((len(plan.many), sum(len(rows) for rows, _ in plan.single)))
-        return pool_shares_fused(*arguments)
+        return pool_fused(*arguments)
 
     plain = score_candidates(*inputs, candidates, values_at_once=1 << 20)
     monkeypatch.setattr(
         pooling, "_has_kernel", lambda features, _: pooling._builds(features.device)
     )
-    monkeypatch.setattr(pooling_triton, "pool_shares_fused", watched)
+    monkeypatch.setattr(pooling_triton, "pool_fused", watched)
     found = score_candidates(*inputs, candidates)
     score_candidates(inputs[0].clone().requires_grad_(), *inputs[1:], candidates)
     torch.testing.assert_close(found, plain, rtol=1e-4, atol=1e-6)
     # A trial of both ways to pool; and once, without gradients.
-    plan = candidates.pooling
+    plan = candidates.plans[0]
     assert used == [(1, 1), (len(plan.many), sum(len(rows) for rows, _ in plan.single))]
 
     def fails(*arguments):
         raise RuntimeError("Failed to find\n C compiler.")
 
     pooling._builds.cache_clear()
-    monkeypatch.setattr(pooling_triton, "pool_shares_fused", fails)
+    monkeypatch.setattr(pooling_triton, "pool_fused", fails)
     for _ in range(2):
         torch.testing.assert_close(score_candidates(*inputs, candidates), plain)
     (said,) = caplog.messages
@@ -132,10 +133,10 @@ def test_scores_take_the_kernel_where_it_can_be_had(
 
     # Says nothing of the kernel.
     pooling._builds.cache_clear()
-    monkeypatch.setattr(pooling_triton, "pool_shares_fused", is_full)
+    monkeypatch.setattr(pooling_triton, "pool_fused", is_full)
     with pytest.raises(torch.OutOfMemoryError):
         score_candidates(*inputs, candidates)
-    monkeypatch.setattr(pooling_triton, "pool_shares_fused", watched)
+    monkeypatch.setattr(pooling_triton, "pool_fused", watched)
     score_candidates(*inputs, candidates)
     assert len(used) == 4
 
@@ -146,7 +147,7 @@ from triton.backends.compiler import GPUTarget
 from slicematch.scoring import pooling_triton as kernel
 
 slices, aligned = int(sys.argv[2]), sys.argv[3] == "aligned"
-types = ["*i64", "*i32", "*i32", *["*fp32"] * 5, "i32", "i32", "i32", *["constexpr"] * 3]
+types = ["*i64", "*i32", "*i32", *["*fp32"] * 5, "i32", "i32", "i32", "fp32", *["constexpr"] * 3]
 source = triton.compiler.ASTSource(
     kernel._pool,
     dict(zip(kernel._pool.arg_names, types, strict=True)),

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy import sparse
 from slicematch.errors import ConfigError
 from slicematch.network.aggregation import unit
-from slicematch.scoring.scores import Candidates, heat_map, score_candidates, score_masks
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.plan import as_means
+from slicematch.scoring.scores import heat_map, score_candidates, score_masks
 from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
@@ -37,14 +40,17 @@ def features(slices, seed=0, dtype=torch.float32):
 
 
 def dense_scores(ground, aerial, attention, masks):
-    """Eq. 4 and the cosine, K x N x C at once: masks [K, N, L, L]."""
+    """Eq. 4 and the cosine, K x N x C at once: masks [K, N, L, L].
+
+    Descriptors are scaled to length 1 as the model does it, by sqrt(|d|^2 + 1e-8).
+    """
     pooled = np.einsum("knij,bnij,bcij->bknc", masks, attention, aerial)
     area = masks.sum(axis=(2, 3))[None, :, :, None]
     mean = np.divide(pooled, area, out=np.zeros_like(pooled), where=area > 0)
-    length = np.linalg.norm(mean, axis=-1, keepdims=True)
-    slices = np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
+    slices = mean / np.sqrt((mean**2).sum(axis=-1, keepdims=True) + 1e-8)
     a, g = slices.reshape(*slices.shape[:2], -1), ground.reshape(len(ground), -1)
-    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(g, axis=-1)[:, None]
+    present = (slices != 0).any(axis=-1).sum(axis=-1)
+    lengths = np.sqrt(present * ((g**2).sum(axis=-1) + 1e-8)[:, None])
     dots = np.einsum("bi,bki->bk", g, a)
     return np.divide(dots, lengths, out=np.zeros_like(dots), where=lengths > 0)
 
@@ -59,6 +65,13 @@ def bank(request, tmp_path):
 
 def all_masks(bank):
     return bank.masks(np.arange(len(bank))).astype(np.float64)
+
+
+def in_float64(bank):
+    """Candidates whose masks are divided by their sums in float64, for tests of the last digits."""
+    candidates, csr = Candidates.from_bank(bank), bank.csr()
+    starts, cells, _ = candidates.masks
+    return replace(candidates, masks=as_means((starts, cells, torch.from_numpy(csr.data).double())))
 
 
 @pytest.mark.parametrize("values_at_once", [None, 70])
@@ -83,7 +96,7 @@ def test_gradients_equal_those_of_the_dense_product(bank, kept):
     weights = torch.randn(BATCH, len(bank), dtype=torch.float64)
     dense = torch.from_numpy(all_masks(bank)).expand(BATCH, -1, -1, -1, -1)
     expected = torch.autograd.grad((score_masks(*inputs, dense) * weights).sum(), inputs)
-    candidates = Candidates.from_bank(bank)
+    candidates = in_float64(bank)
     found = torch.autograd.grad((score_candidates(*inputs, candidates) * weights).sum(), inputs)
     for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-10)
@@ -98,7 +111,7 @@ def test_priors_are_subsets_and_leave_the_scores_as_they_are(tmp_path):
     frustum = Frustum(360, 8)
     candidates = build(tmp_path, PoseGrid.parse("8x4x16"), frustum)
     inputs = features(8)
-    whole = candidates.on_grid(score_candidates(*inputs, candidates))
+    whole = candidates.scatter_to_grid(score_candidates(*inputs, candidates))
     assert whole.shape == (BATCH, 8, 4, 16)
 
     # 16 headings are 22.5 degrees apart; the prior reaches across north.
@@ -106,7 +119,7 @@ def test_priors_are_subsets_and_leave_the_scores_as_they_are(tmp_path):
     assert sorted(set(prior.poses[:, 2])) == [0.0, 22.5, 315.0, 337.5]
     places = {tuple(place) for place in prior.poses[:, :2].tolist()}
     assert places == {(0.125, 0.0625), (0.375, 0.0625), (0.125, 0.1875), (0.125, 0.3125)}
-    some = prior.on_grid(score_candidates(*inputs, prior))
+    some = prior.scatter_to_grid(score_candidates(*inputs, prior))
     kept = torch.isfinite(some)
     assert kept.sum() == BATCH * 4 * 4
     torch.testing.assert_close(some[kept], whole[kept])
@@ -121,7 +134,7 @@ def test_a_known_heading_is_a_prior_of_no_width(tmp_path, centre):
     aligned = candidates.within(heading_prior_deg=(centre, 0.0))
     assert (aligned.poses[:, 2] == 0).all()
     assert len(aligned.poses) == 9
-    np.testing.assert_array_equal(aligned.kept, np.arange(0, 144, 16))
+    np.testing.assert_array_equal(aligned.grid_index, np.arange(0, 144, 16))
 
 
 def test_a_prior_of_half_a_circle_keeps_every_heading(tmp_path):
@@ -147,7 +160,7 @@ def test_priors_that_cannot_be(tmp_path, priors, said):
 
 def test_a_bank_of_another_model_is_refused(tmp_path):
     candidates = build(tmp_path, PoseGrid.parse("2x2x8"), Frustum(360, 4), cells=3)
-    with pytest.raises(ConfigError, match="4 slices and 3 cells a side, the model 4 and 6"):
+    with pytest.raises(ConfigError, match="4 slices and 3 cells a side, the model 4 descriptors"):
         score_candidates(*features(4), candidates)
 
 
@@ -156,7 +169,7 @@ def test_a_frustum_that_misses_the_tile_scores_zero(tmp_path):
     grid = PoseGrid(2, 2, 8, places="endpoints")
     candidates = build(tmp_path, grid, Frustum(90, 4))
     inputs = [x.requires_grad_() for x in features(4)]
-    scores = candidates.on_grid(score_candidates(*inputs, candidates))
+    scores = candidates.scatter_to_grid(score_candidates(*inputs, candidates))
     assert (scores[:, 1, 1, 3] == 0).all()
     scores[:, 1, 1, 3].sum().backward()
     assert all((x.grad == 0).all() for x in inputs)
@@ -175,40 +188,42 @@ def test_masks_are_pooled_the_way_that_suits_their_use(tmp_path):
     candidates = build(tmp_path, PoseGrid.parse("3x4x32"), Frustum(360, 16))
     inputs = features(16)
     whole = score_candidates(*inputs, candidates)
-    assert not any(len(rows) for rows, _ in candidates.pooling.single)
+    assert not any(len(rows) for rows, _ in candidates.plans[0].single)
     # Few headings use a mask as few slice numbers; with more of them, some masks are shared.
     for half_width, ways in ((20.0, "single"), (105.0, "both")):
         some = candidates.within(heading_prior_deg=(0.0, half_width))
-        plan = some.pooling
+        plan = some.plans[0]
         assert bool(len(plan.many)) == (ways == "both")
         assert any(len(rows) for rows, _ in plan.single)
         found = score_candidates(*inputs, some)
-        torch.testing.assert_close(found, whole[:, some.kept], rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(found, whole[:, some.grid_index], rtol=1e-5, atol=1e-6)
         torch.testing.assert_close(score_candidates(*inputs, some.to("cpu")), found)
 
 
 def test_scoring_asks_for_no_value_that_a_gpu_would_have_to_be_waited_for(bank, kept):
     """Fake tensors know their shapes, and refuse to say their values."""
     candidates = Candidates.from_bank(bank)
-    plan = candidates.pooling
+    plan = candidates.plans[0]
     with FakeTensorMode() as mode:
         fake = mode.from_tensor
         unknown = replace(
             candidates,
             index=fake(candidates.index),
             masks=tuple(map(fake, candidates.masks)),
-            kept=fake(candidates.kept),
+            grid_index=fake(candidates.grid_index),
         )
-        unknown.__dict__["pooling"] = replace(
-            plan,
-            masks=unknown.masks,
-            many=fake(plan.many),
-            single=[(fake(rows), sums) for rows, sums in plan.single],
-            slot=fake(plan.slot),
-        )
+        unknown.__dict__["plans"] = [
+            replace(
+                plan,
+                masks=unknown.masks,
+                many=fake(plan.many),
+                single=[(fake(rows), sums) for rows, sums in plan.single],
+                slot=fake(plan.slot),
+            )
+        ]
         inputs = [fake(x).requires_grad_() for x in features(bank.spec.frustum.slices)]
         scores = score_candidates(*inputs, unknown, values_at_once=70)
-        torch.autograd.grad(unknown.on_grid(scores).amax(), inputs)
+        torch.autograd.grad(unknown.scatter_to_grid(scores).amax(), inputs)
         with pytest.raises(DataDependentOutputException):
             scores.amax().item()
     assert scores.shape == (BATCH, len(bank))
@@ -241,8 +256,8 @@ def test_gradients_of_masks_that_are_pooled_both_ways(tmp_path, kept):
     """Masks pooled both ways, in blocks, give the gradients of the dense product."""
     frustum = Frustum(360, 16)
     with open_bank(build_bank(PoseGrid.parse("2x2x32"), frustum, 4, cache=tmp_path).path) as bank:
-        some = Candidates.from_bank(bank).within(heading_prior_deg=(0.0, 105.0))
-        masks = torch.from_numpy(all_masks(bank))[some.kept]
+        some = in_float64(bank).within(heading_prior_deg=(0.0, 105.0))
+        masks = torch.from_numpy(all_masks(bank))[some.grid_index]
     ground, aerial, attention = features(16, dtype=torch.float64)
     inputs = [x.requires_grad_() for x in (ground, aerial[..., :4, :4], attention[..., :4, :4])]
     weights = torch.randn(BATCH, len(masks), dtype=torch.float64)
@@ -254,11 +269,54 @@ def test_gradients_of_masks_that_are_pooled_both_ways(tmp_path, kept):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("shared", [False, True], ids=["attention by slice", "shared attention"])
+@pytest.mark.parametrize("bands", [1, 3])
+def test_bands_equal_the_dense_product(bank, bands, shared):
+    masks = all_masks(bank)[:, :, None]  # [K, N, 1, L, L]
+    if bands > 1:  # any parts of a slice that sum to it
+        parts = np.random.default_rng(0).dirichlet(np.ones(bands), masks.shape[:2])
+        masks = masks * parts[..., None, None]
+    poses, slices = masks.shape[:2]
+    rows = sparse.csr_array(masks.reshape(-1, CELLS * CELLS))
+    candidates = replace(
+        Candidates.from_bank(bank),
+        index=torch.arange(poses * slices * bands).view(poses, slices, bands),
+        masks=as_means(tuple(map(torch.from_numpy, (rows.indptr, rows.indices, rows.data)))),
+    )
+    inputs = list(features(slices * bands, dtype=torch.float64))
+    if shared:
+        inputs[2] = inputs[2][:, :1]
+    inputs = [x.requires_grad_() for x in inputs]
+    flat = masks.reshape(poses, slices * bands, CELLS, CELLS)
+    wide = np.broadcast_to(inputs[2].detach(), (BATCH, slices * bands, CELLS, CELLS))
+    expected = dense_scores(*(x.detach().numpy() for x in inputs[:2]), wide, flat)
+    found = score_candidates(*inputs, candidates, values_at_once=70)
+    np.testing.assert_allclose(found.detach(), expected, rtol=0, atol=1e-12)
+    dense = torch.from_numpy(masks).expand(BATCH, -1, -1, -1, -1, -1)
+    few = score_masks(*inputs, dense)
+    np.testing.assert_allclose(few.detach(), expected, rtol=0, atol=1e-12)
+    weights = torch.randn(BATCH, poses, dtype=torch.float64)
+    for one, other in zip(
+        torch.autograd.grad((found * weights).sum(), inputs),
+        torch.autograd.grad((few * weights).sum(), inputs),
+        strict=True,
+    ):
+        torch.testing.assert_close(one, other, rtol=0, atol=1e-10)
+
+
+def test_masks_of_other_bands_are_refused(tmp_path):
+    candidates = build(tmp_path, PoseGrid.parse("2x2x8"), Frustum(360, 4))
+    with pytest.raises(ConfigError, match="4 slices and 6 cells a side, the model 8 descriptors"):
+        score_candidates(*features(8), candidates)
+
+
 MEMORY = r"""
 import re, sys
 from pathlib import Path
 import torch
-from slicematch.scoring.scores import Candidates, score_candidates
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.plan import as_means
+from slicematch.scoring.scores import score_candidates
 from slicemask import open_bank
 
 def kib(name):

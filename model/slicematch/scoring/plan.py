@@ -1,0 +1,171 @@
+"""How the masks of candidates are pooled: the part of the work that knows no image.
+
+A *contribution* is what one mask and one slice number add to a score: two scalars, the dot product
+of the unit slice descriptor d_a with d_g^n, and whether there is a descriptor at all. It is
+computed once, however many poses have that mask as slice n.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+
+Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
+
+# Masks gathered in one product are padded to a common multiple of so many cells.
+_PADDED = 8
+
+
+def as_means(masks: Masks) -> Masks:
+    """CSR rows whose fractions sum to 1, so that pooling gives the mean of eq. 4.
+
+    A mask may cover no more than a millionth of a cell. Its sum of features would then be too
+    short for float32 to square; its mean is as long as any other.
+    """
+    starts, cells, fractions = masks
+    lengths = (starts[1:] - starts[:-1]).long()
+    rows = torch.repeat_interleave(
+        torch.arange(len(lengths), device=starts.device), lengths, output_size=len(fractions)
+    )
+    areas = torch.zeros(len(lengths), dtype=torch.float64, device=starts.device)
+    areas.index_add_(0, rows, fractions.double())
+    return starts, cells, (fractions / areas[rows]).to(fractions.dtype)
+
+
+@dataclass(frozen=True)
+class PoolingPlan:
+    """What to pool where every slice has an attention map of its own; made by `plan_pooling`.
+
+    Attributes
+    ----------
+    masks : CSR rows
+        The M distinct masks.
+    many : int64 [R]
+        The masks pooled for all slice numbers at once, by their count of cells.
+    widths : list of (int, int)
+        To how many cells they are padded, and how many in turn are padded to as many.
+    single : list of (int64 [R_n], NumPy integers [R_n + 1])
+        For each slice number, the masks pooled for it alone, and how many nonzeros come before
+        each of them, and in all: in NumPy, so that to cut blocks asks a GPU for nothing.
+    slot : int [K, N]
+        Which contribution is that of slice n of pose k. Contributions stand in order: those of
+        the gathered masks, N each, then those of single masks by slice number.
+    """
+
+    masks: Masks
+    many: Tensor
+    widths: list[tuple[int, int]]
+    single: list[tuple[Tensor, np.ndarray]]
+    slot: Tensor
+
+    @cached_property
+    def gathered(self) -> list[tuple[Tensor, Tensor]]:
+        """Padded cells and fractions of `many`, integer and float32 [R, m], for each width."""
+        starts, cells, fractions = self.masks
+        parts = []
+        counts = [count for _, count in self.widths]
+        for (width, _), rows in zip(self.widths, self.many.split(counts), strict=True):
+            first = starts[rows, None]
+            steps = torch.arange(width, dtype=starts.dtype, device=starts.device)
+            inside = steps < starts[rows + 1, None] - first
+            at = torch.where(inside, first + steps, 0)
+            parts.append((cells[at] * inside, fractions[at] * inside))
+        return parts
+
+    @property
+    def contributions(self) -> int:
+        """How many contributions there are."""
+        return len(self.many) * self.slot.shape[1] + sum(len(rows) for rows, _ in self.single)
+
+    @property
+    def vectors(self) -> int:
+        """How many vectors of C channels pooling goes through: gathered cells and descriptors."""
+        return sum(width * count for width, count in self.widths) + self.contributions
+
+
+def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
+    """Choose how each mask is pooled where every slice has an attention map of its own.
+
+    Parameters
+    ----------
+    index : int64 [K, N]
+        The mask that is slice n of pose k.
+    masks : CSR rows
+        The M distinct masks, as `as_means` gives them.
+    """
+    starts = masks[0]
+    slices = index.shape[1]
+    lengths = starts[1:] - starts[:-1]
+    used = torch.zeros(slices, len(lengths), dtype=torch.bool, device=index.device)
+    for n in range(slices):
+        used[n].index_fill_(0, index[:, n], True)
+    # Gathering once and multiplying for all N breaks even at about this many uses (measured on a
+    # CPU with C = 512).
+    many = (5 * used.sum(dim=0) > 2 * slices + 16) & (lengths > 0)
+
+    padded = -(-lengths // _PADDED) * _PADDED
+    numbers = torch.nonzero(many)[:, 0]
+    numbers = numbers[torch.argsort(padded[numbers], stable=True)]
+    runs = torch.unique_consecutive(padded[numbers], return_counts=True)
+    widths = list(zip(*(run.tolist() for run in runs), strict=True))
+
+    alone = [torch.nonzero(used[n] & ~many)[:, 0] for n in range(slices)]
+    single = [(rows, running_sums(lengths[rows]).numpy(force=True)) for rows in alone]
+    total = len(numbers) * slices + sum(map(len, alone))
+    slot = torch.empty_like(index, dtype=torch.int32 if total < 2**31 else torch.int64)
+    place = torch.empty_like(lengths, dtype=slot.dtype)
+    first = len(numbers) * slices
+    for n, rows in enumerate(alone):
+        place[numbers] = torch.arange(
+            n, len(numbers) * slices + n, slices, dtype=slot.dtype, device=slot.device
+        )
+        place[rows] = torch.arange(first, first + len(rows), dtype=slot.dtype, device=slot.device)
+        slot[:, n] = place[index[:, n]]
+        first += len(rows)
+    return PoolingPlan(masks, numbers, widths, single, slot)
+
+
+def take_rows(masks: Masks, chosen: Tensor, nonzeros: int) -> Masks:
+    """The chosen rows [R] of a CSR matrix, which have so many nonzeros."""
+    starts, cells, fractions = masks
+    lengths = starts[chosen + 1] - starts[chosen]
+    new_starts = running_sums(lengths)
+    shift = starts[chosen] - new_starts[:-1]
+    shift = torch.repeat_interleave(shift, lengths, output_size=nonzeros)
+    taken = torch.arange(len(shift), dtype=starts.dtype, device=shift.device) + shift
+    return new_starts, cells[taken], fractions[taken]
+
+
+def running_sums(lengths: Tensor) -> Tensor:
+    """Sum of the lengths [R] before each, and of all: [R + 1]."""
+    return F.pad(torch.cumsum(lengths, 0, dtype=lengths.dtype), (1, 0))
+
+
+@dataclass(frozen=True)
+class SharedPlan:
+    """What to pool where all slices share one attention map; made by `plan_shared`.
+
+    A mask then has one descriptor, whichever slice number it serves.
+
+    Attributes
+    ----------
+    masks : CSR rows
+        The R masks in use.
+    slot : int64 [K, N]
+        Which contribution is that of slice n of pose k; those of a mask are N in turn.
+    """
+
+    masks: Masks
+    slot: Tensor
+
+
+def plan_shared(index: Tensor, masks: Masks) -> SharedPlan:
+    """Choose the masks to pool, for `SharedPlan`; arguments as for `plan_pooling`."""
+    slices = index.shape[1]
+    used, place = torch.unique(index, return_inverse=True)
+    numbers = torch.arange(slices, device=index.device)
+    lengths = masks[0][1:] - masks[0][:-1]
+    return SharedPlan(take_rows(masks, used, int(lengths[used].sum())), place * slices + numbers)
