@@ -85,6 +85,20 @@ def test_where_banks_go(run, tmp_path, monkeypatch):
     assert not (tmp_path / "masks_cache").exists()
 
 
+def test_headings_in_radians_are_warned_about_on_stderr(tmp_path):
+    (tmp_path / "poses.csv").write_text("u\tv\theading_deg\n0.5\t0.5\t1.57\n0.5\t0.5\t3.14\n")
+    ran = subprocess.run(
+        [sys.executable, "-m", "slicemask", "build", "--poses", "poses.csv", "--cache", "new/er"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stderr.startswith("poses.csv: all headings lie within 0 and 2 pi")
+    assert "built" in ran.stdout
+
+
 def test_names_tell_banks_apart(run, tmp_path):
     more = (
         [], ["--extent", "0.2,0.2,0.8,0.8"], ["--places", "endpoints"], ["--engine", "rays"],
