@@ -8,7 +8,7 @@ class SlicemaskError(Exception):
 
 
 class SpecError(SlicemaskError, ValueError):
-    """A grid, frustum, cell count, extent or engine that cannot be."""
+    """An invalid grid, frustum, cell count, extent or engine."""
 
 
 class PoseError(SlicemaskError, ValueError):
@@ -20,11 +20,11 @@ class BankError(SlicemaskError, OSError):
 
 
 class BankFormatError(BankError):
-    """A file that is no bank, or one that is cut short, altered or of another version."""
+    """A file that is not a bank, or one that is truncated, altered or of an unknown version."""
 
 
 class BankExistsError(BankError):
-    """The output exists already and holds something else."""
+    """The output exists already and holds something other than the bank asked for."""
 
 
 class PlotError(SlicemaskError, OSError):
@@ -36,13 +36,22 @@ class OutputError(SlicemaskError, OSError):
 
 
 class SynthError(SlicemaskError, OSError):
-    """A generated city that cannot be asked for, or that cannot be written where it should go."""
+    """Invalid settings of a generated city, or one that cannot be written where it should go."""
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error says that memory is short: Python's, or one of torch's, on any device.
+    """Whether an error says that memory ran out: Python's, or one of torch's, on any device.
 
-    Torch need not be imported to ask.
+    It is recognized without importing torch.
+
+    Parameters
+    ----------
+    error : Exception
+        Any error.
+
+    Returns
+    -------
+    bool
     """
     # torch.OutOfMemoryError is CUDA's; on the CPU only the text tells.
     return isinstance(error, MemoryError) or (

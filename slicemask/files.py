@@ -1,5 +1,6 @@
-"""Files that are written whole or not at all."""
+"""Output files: checked before the work, and written completely or not at all."""
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,10 +9,12 @@ from pathlib import Path
 from slicemask.errors import SlicemaskError
 
 _REMEDY = "choose another place, or free some space"
+# What file systems that have no fsync answer; anything else means that data may be lost.
+_NO_FSYNC = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[SlicemaskError]) -> Path:
-    """Return the path of a file to be written, or raise ``error`` if it cannot be one.
+    """Check that a file can be written, before the work that it is for.
 
     Parameters
     ----------
@@ -20,7 +23,18 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
     suffixes : tuple of str
         What its name may end in, such as (".png", ".svg").
     error : type
-        What to raise.
+        The class of error to raise.
+
+    Returns
+    -------
+    path : Path
+        The same path.
+
+    Raises
+    ------
+    SlicemaskError
+        An ``error``, if the path is invalid, a folder, has another suffix, or lies in a folder
+        that is missing or may not be written to.
     """
     path = Path(path)
     if path.suffix.lower() not in suffixes:
@@ -29,7 +43,7 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
             f"{' or '.join(suffixes)}"
         )
     if fault := _fault(_partial(path)):  # whose name is longer
-        raise error(f"{path}: cannot be: {fault}; name another file")
+        raise error(f"{path}: is invalid: {fault}; name another file")
     if path.is_dir():
         raise error(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
@@ -40,26 +54,42 @@ def check_target(path: str | Path, suffixes: tuple[str, ...], error: type[Slicem
 
 
 def check_folder(path: str | Path, error: type[SlicemaskError]) -> Path:
-    """Return the path of a folder for results, or raise ``error`` if it cannot be one.
+    """Check that a folder for results can be made or written to, before the work.
 
-    It need not be there, nor the folders above it.
+    Neither the folder nor those above it need to exist.
 
     Parameters
     ----------
     path : path
         The folder.
     error : type
-        What to raise.
+        The class of error to raise.
+
+    Returns
+    -------
+    path : Path
+        The same path.
+
+    Raises
+    ------
+    SlicemaskError
+        An ``error``, if the path is invalid, or it or what it lies in is a file or may not be
+        written to.
     """
     path = Path(path)
     if fault := _fault(path):
-        raise error(f"{path}: cannot be: {fault}; name another folder")
-    existing = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+        raise error(f"{path}: is invalid: {fault}; name another folder")
+    existing = existing_parent(path)
     if not existing.is_dir():
-        raise error(f"{existing}: is no folder; name another one")
+        raise error(f"{existing}: is not a folder; name another one")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise error(f"{existing}: may not be written to; name another folder")
     return path
+
+
+def existing_parent(path: Path) -> Path:
+    """Return the path itself if it exists, else the closest of its parents that does."""
+    return next(folder for folder in (path, *path.absolute().parents) if folder.exists())
 
 
 @contextmanager
@@ -68,17 +98,35 @@ def atomic_write(
     error: type[SlicemaskError],
     remedy: str = _REMEDY,
 ) -> Iterator[Path]:
-    """A name beside ``path`` to write to, which becomes it at the end, or is removed on an error.
+    """Give a temporary name beside ``path``, and rename what was written there to ``path``.
 
-    A link at ``path`` is replaced by the file. Raises ``error``, with the remedy, if the file
-    cannot be written.
+    If the block raises, the temporary file is removed and ``path`` is as it was. A symbolic link
+    at ``path`` is replaced, not followed.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file goes.
+    error : type
+        The class of error to raise.
+    remedy : str
+        The end of its message: what the user can do.
+
+    Yields
+    ------
+    partial : Path
+        The name to write to.
+
+    Raises
+    ------
+    SlicemaskError
+        An ``error``, if the file cannot be written.
     """
     partial = _partial(path)
     try:
         try:
             yield partial
-            with partial.open("rb") as file:
-                os.fsync(file.fileno())
+            sync_to_disk(partial)
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
@@ -87,9 +135,44 @@ def atomic_write(
 
 
 def write_text(path: Path, text: str, error: type[SlicemaskError], remedy: str = _REMEDY) -> None:
-    """Write a text, UTF-8 and its line ends as they are, as `atomic_write` does."""
+    """Write text as UTF-8, its line ends unchanged, completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file goes.
+    text : str
+        What it holds.
+    error : type
+        The class of error to raise.
+    remedy : str
+        The end of its message: what the user can do.
+
+    Raises
+    ------
+    SlicemaskError
+        An ``error``, if the file cannot be written.
+    """
     with atomic_write(path, error, remedy) as partial:
         partial.write_text(text, encoding="utf-8", newline="")
+
+
+def sync_to_disk(path: Path) -> None:
+    """Wait until a file, or a folder's entries, are on the disk, where the file system can tell.
+
+    Raises
+    ------
+    OSError
+        If they could not be written.
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as reason:
+        if reason.errno not in _NO_FSYNC:
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def _partial(path: Path) -> Path:
@@ -97,7 +180,7 @@ def _partial(path: Path) -> Path:
 
 
 def _fault(path: Path) -> str | None:
-    """Why there cannot be such a path, as when its name is too long; None if there can."""
+    """Why a path is invalid, as when its name is too long; None if it is valid."""
     try:
         os.lstat(path)
     except (FileNotFoundError, NotADirectoryError):

@@ -7,12 +7,22 @@ from slicemask.geometry.numbers import is_whole
 
 
 def thread_count(jobs: int | None) -> int:
-    """Return the number asked for, or that of the processors this process may use.
+    """Return how many threads to use.
+
+    Parameters
+    ----------
+    jobs : int or None
+        The number asked for; None means as many as there are processors for this process.
+
+    Returns
+    -------
+    count : int
+        At least 1.
 
     Raises
     ------
     SpecError
-        If it is less than 1.
+        If the number asked for is less than 1 or not whole.
     """
     if jobs is None:
         if hasattr(os, "sched_getaffinity"):

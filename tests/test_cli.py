@@ -75,8 +75,6 @@ def test_build_as_json(run):
 
 
 def test_where_banks_go(run, tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "there").mkdir()
     assert run(*SMALL, "--cache", "here").exit_code == 0
     monkeypatch.setenv("SLICEMASK_CACHE", str(tmp_path / "there"))
     assert run(*SMALL).exit_code == 0
@@ -85,6 +83,20 @@ def test_where_banks_go(run, tmp_path, monkeypatch):
         with open_bank(tmp_path / path) as opened:
             assert len(opened) == 72
     assert not (tmp_path / "masks_cache").exists()
+
+
+def test_headings_in_radians_are_warned_about_on_stderr(tmp_path):
+    (tmp_path / "poses.csv").write_text("u\tv\theading_deg\n0.5\t0.5\t1.57\n0.5\t0.5\t3.14\n")
+    ran = subprocess.run(
+        [sys.executable, "-m", "slicemask", "build", "--poses", "poses.csv", "--cache", "new/er"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stderr.startswith("poses.csv: all headings lie within 0 and 2 pi")
+    assert "built" in ran.stdout
 
 
 def test_names_tell_banks_apart(run, tmp_path):
@@ -165,7 +177,6 @@ def test_verify_finds_a_wrong_mask_in_a_sealed_bank(run, bank, where):
         ([], "either --grid"),
         (["--poses", "poses.csv", "--places", "endpoints"], "belong to --grid"),
         (["--grid", "3x3x3", "--out", "no/such/folder.h5"], "no/such: there is no such folder"),
-        (["--grid", "3x3x3", "--cache", "nowhere"], "nowhere: there is no such folder"),
         (["--grid", "3x3x3", "--out", "."], "is a folder"),
         (["--grid", "3x3x3", "--engine", "voxels"], "'voxels' is not one of 'shapely', 'rays'"),
     ],
@@ -179,7 +190,7 @@ def test_a_file_that_is_no_bank_is_kept(run, tmp_path):
     (tmp_path / "thesis.txt").write_text("years of work")
     for force in ([], ["--force"]):
         message = sentence(run(*SMALL, "--out", "thesis.txt", *force))
-        assert "exists and is no slicemask bank" in message
+        assert "exists and is not a slicemask bank" in message
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 

@@ -10,7 +10,7 @@ from slicemask.files import atomic_write, check_folder, check_target, write_text
 
 def test_a_name_that_leaves_no_room_for_the_partial_one_is_refused_before_the_work(tmp_path):
     # 252 bytes are a name; with the dot, the process and the suffix they are none.
-    with pytest.raises(PlotError, match="cannot be: File name too long; name another file"):
+    with pytest.raises(PlotError, match="is invalid: File name too long; name another file"):
         check_target(tmp_path / f"{'a' * 248}.png", (".png",), PlotError)
 
 
@@ -37,12 +37,12 @@ def test_a_folder_need_not_be_there(tmp_path):
 @pytest.mark.parametrize("name", ["file", "file/a/b"])
 def test_a_folder_is_no_file_nor_in_one(tmp_path, name):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="/file: is no folder; name another one"):
+    with pytest.raises(OutputError, match="/file: is not a folder; name another one"):
         check_folder(tmp_path / name, OutputError)
 
 
 def test_a_folder_with_too_long_a_name(tmp_path):
-    with pytest.raises(OutputError, match="cannot be: File name too long; name another folder"):
+    with pytest.raises(OutputError, match="is invalid: File name too long; name another folder"):
         check_folder(tmp_path / ("a" * 300), OutputError)
 
 

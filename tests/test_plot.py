@@ -202,7 +202,7 @@ def test_png_reads_back(tmp_path):
         ("figure", "suffix is missing"),
         ("missing/figure.png", "missing: there is no such folder"),
         ("folder.png", "is a folder"),
-        (f"{'long' * 70}.png", "cannot be: File name too long"),
+        (f"{'long' * 70}.png", "is invalid: File name too long"),
     ],
 )
 def test_a_target_that_cannot_be_is_refused(tmp_path, name, message):

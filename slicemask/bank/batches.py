@@ -1,8 +1,8 @@
-"""Poses in batches that can be computed on their own.
+"""Poses in batches that can be computed independently.
 
-Slices can only be equal, or images of each other, if their places are; so places that are images
-of each other go into one batch, and a batch's masks owe nothing to other batches (half-planes,
-which are tied to no place, apart).
+Slices can only be equal, or mirror images of each other, if their places are; so places that are
+images of each other under the tile's symmetries go into one batch, and no mask is shared between
+batches. (Half-planes, which have no place of their own, are the exception.)
 """
 
 from collections.abc import Iterator
@@ -18,18 +18,18 @@ from slicemask.geometry.symmetry import offset_codes
 
 @dataclass(frozen=True)
 class Batch:
-    """Some poses, with all poses of their places and of those places' images.
+    """All poses of some places and of those places' images under the tile's symmetries.
 
     Parameters
     ----------
     u, v : float64 [P]
-        The places.
+        The places, in the aerial frame.
     pose : int64 [n]
         Pose indices in the bank.
     place : int64 [n]
         Index of each pose's place.
     heading_deg : float64 [n]
-        Each pose's heading.
+        Each pose's heading, clockwise from north.
     """
 
     u: NDArray[np.float64]
@@ -40,13 +40,13 @@ class Batch:
 
 
 class PoseSource(Protocol):
-    """Poses, in batches to compute and in order to store."""
+    """Poses, in batches for computing masks and in the bank's order for storing them."""
 
     def batches(self, most_poses: int) -> Iterator[Batch]:
-        """Cut the poses into batches of about ``most_poses``, more only if one orbit has more.
+        """Split the poses into batches of at most ``most_poses``, or of one orbit if it has more.
 
-        The cut depends on the poses and that number alone, so that a bank's rows always come in
-        the same order.
+        The batches depend on the poses and that number alone, so that a bank's rows always come
+        in the same order.
         """
 
     def pieces(self) -> Iterator[NDArray[np.float64]]:
@@ -54,13 +54,13 @@ class PoseSource(Protocol):
 
 
 class GridSource:
-    """The poses of a grid, made as they are needed: nothing is held for each."""
+    """The poses of a grid, made as they are needed: memory does not grow with their number."""
 
     def __init__(self, grid: PoseGrid):
         self._grid = grid
 
     def batches(self, most_poses: int) -> Iterator[Batch]:
-        """Cut the poses into batches; see `PoseSource`."""
+        """Split the poses into batches; see `PoseSource`."""
         places: list[NDArray[np.int64]] = []
         count = 0
         for orbit in self._orbits():
@@ -119,7 +119,7 @@ class ListSource:
         self._poses = poses
 
     def batches(self, most_poses: int) -> Iterator[Batch]:
-        """Cut the poses into batches; see `PoseSource`."""
+        """Split the poses into batches; see `PoseSource`."""
         u, v = self._poses[:, 0], self._poses[:, 1]
         p, q, _ = offset_codes(u, v)
         smaller, larger = np.minimum(np.abs(p), np.abs(q)), np.maximum(np.abs(p), np.abs(q))

@@ -75,7 +75,7 @@ class BuildResult:
     path : Path
         The bank.
     reused : bool
-        Whether it was there already and matched, so that nothing was computed.
+        Whether it existed already and matched, so that nothing was computed.
     rows : int
         M, the number of distinct masks in it.
     """
@@ -98,12 +98,11 @@ def build_bank(
     progress: Progress | None = None,
     limits: MemoryLimits = _DEFAULT_LIMITS,
 ) -> BuildResult:
-    """Build the bank of poses' slice masks, or find it built.
+    """Build the bank of poses' slice masks, or reuse the one that exists.
 
     Memory is bounded: masks are streamed to the file, and of a grid's poses nothing is held but
     their index, and that only up to 16 MiB. Of a list, its poses and some 100 bytes for each are
-    held. The same arguments and versions give the
-    same bytes, whatever ``jobs`` is.
+    held. The same arguments and versions give the same bytes, whatever ``jobs`` is.
 
     Parameters
     ----------
@@ -118,25 +117,26 @@ def build_bank(
     out : path, optional
         Where the bank goes. By default, a name that says what it holds, in the cache folder.
     cache : path, optional
-        The cache folder; SLICEMASK_CACHE or ``./masks_cache`` by default.
+        The cache folder; SLICEMASK_CACHE or ``./masks_cache`` by default. It is made if missing.
     force : bool
-        Build even if a bank is there, and replace it. A file that is no bank is never replaced.
+        Build even if a bank exists, and replace it. A file that is not a bank is never replaced,
+        unless it is empty.
     jobs : int, optional
         Threads; as many as there are processors by default.
     progress : callable, optional
-        Called with (poses done, poses in all) as the work goes on, from a thread of the build's.
+        Called with (poses done, poses in all) as the work goes on, from the thread that builds.
     limits : MemoryLimits, optional
         What bounds memory.
 
     Returns
     -------
     result : BuildResult
-        The path, and whether a matching bank was there already.
+        The path, and whether a matching bank existed already.
 
     Raises
     ------
     SpecError, PoseError
-        If the arguments cannot be.
+        If an argument is invalid.
     BankExistsError
         If the output exists and holds something else.
     BankError
@@ -155,17 +155,17 @@ def build_bank(
     path = bank_path(spec, out, cache)
 
     def build(check: CancelCheck) -> BuildResult:
-        # A bank that is there needs no lock, nor a folder that may be written to.
+        # Reusing a bank needs no lock, nor a folder that may be written to.
         rows = None if force else _reusable_rows(path, spec, force=False)
         if rows is not None:
             return BuildResult(path, reused=True, rows=rows)
         # A second builder waits here, and then finds the bank.
-        with ensure_cache_dir(path.parent), build_lock(path, check):
+        with ensure_cache_dir(path.parent), build_lock(path, check) as locked:
             rows = _reusable_rows(path, spec, force)
             if rows is not None:
                 return BuildResult(path, reused=True, rows=rows)
             return BuildResult(
-                path, False, _build(path, spec, source, jobs, progress, limits, check)
+                path, False, _build(path, spec, source, jobs, progress, limits, check, locked)
             )
 
     try:
@@ -173,7 +173,10 @@ def build_bank(
     except BankError:
         raise
     except (OSError, RuntimeError) as error:  # h5py raises both
-        raise BankError(f"{path}: cannot be written: {_reason(error)}") from error
+        raise BankError(
+            f"{path}: cannot be written: {_reason(error)}; name another folder with --cache, or "
+            "another file with --out"
+        ) from error
 
 
 def _versions(engine: Engine) -> dict[str, str]:
@@ -192,9 +195,9 @@ def _versions(engine: Engine) -> dict[str, str]:
 
 
 def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
-    """Rows of the bank that is there if it is the one asked for; None if it is to be built.
+    """Rows of the existing bank if it is the one asked for; None if it is to be built.
 
-    Raises BankExistsError if it is neither, and BankFormatError if it is damaged.
+    Raises BankExistsError if it is another, and BankFormatError if it is damaged.
     """
     if not path.exists():
         return None
@@ -206,9 +209,16 @@ def _reusable_rows(path: Path, spec: BankSpec, force: bool) -> int | None:
                 f"{path}: exists and cannot be read ({error.strerror}), so it is not replaced; "
                 "move it away or name another file with --out"
             ) from error
+        if path.stat().st_size == 0:  # nothing to lose
+            if force:
+                return None
+            raise BankExistsError(
+                f"{path}: exists and is empty, as a crash or a full disk may leave it; remove it, "
+                "or replace it with --force"
+            )
         if not sealed:
             raise BankExistsError(
-                f"{path}: exists and is no slicemask bank, so it is not replaced; move it away "
+                f"{path}: exists and is not a slicemask bank, so it is not replaced; move it away "
                 "or name another file with --out"
             )
         if force:  # sound or not
@@ -231,14 +241,15 @@ def _build(
     progress: Progress | None,
     limits: MemoryLimits,
     check: CancelCheck,
+    locked: bool,
 ) -> int:
-    """Build the bank and give its number of rows."""
+    """Build the bank and return its number of rows."""
     total, slices = len(spec.poses), spec.frustum.slices
     pool = ThreadPoolExecutor(jobs)
-    with BankWriter(path, spec, pool) as writer, contextlib.ExitStack() as after:
-        # After an error, what no thread has begun is dropped.
+    with BankWriter(path, spec, pool, locked) as writer, contextlib.ExitStack() as after:
+        # After an error, work that no thread has started is dropped.
         after.callback(pool.shutdown, cancel_futures=True)
-        # The engine is imported while the first slices are found. An error comes again with them.
+        # The engine is imported while the first slices are found; an error would recur with them.
         pool.submit(engine_fractions, spec.engine)
         index = after.enter_context(_empty_index((total, slices), path.parent, limits))
         compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)

@@ -1,7 +1,7 @@
 """A chunk's bytes as HDF5 stores it: shuffled, deflated, and with its Fletcher-32 checksum.
 
 HDF5 applies its filters one chunk at a time, under a lock. Applied here, they run on all threads,
-and HDF5 takes the bytes as they are. It applies them backwards, and checks the sum, on reading.
+and HDF5 stores the bytes unchanged. On reading, it reverses them and verifies the checksum.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 # libdeflate's low levels. For fractions 1 is the faster; for whole numbers, whose bytes repeat, 2.
 _LEVEL, _LEVEL_WHOLE = 1, 2
 
-# The same filters in h5py's words, for the dataset.
+# The same filters as options of h5py's `create_dataset`.
 FILTERS: dict[str, Any] = {
     "shuffle": True,
     "compression": "gzip",
@@ -23,7 +23,18 @@ FILTERS: dict[str, Any] = {
 
 
 def encode_chunk(values: NDArray[Any]) -> bytes:
-    """Bytes of a whole chunk of values, any shape, as HDF5 stores it with `FILTERS`."""
+    """Encode a complete chunk as HDF5 stores it with `FILTERS`.
+
+    Parameters
+    ----------
+    values : array
+        The chunk, of any shape and numeric type.
+
+    Returns
+    -------
+    encoded : bytes
+        For `h5py.h5d.DatasetID.write_direct_chunk`.
+    """
     size = values.dtype.itemsize
     shuffled = np.empty((size, values.size), dtype=np.uint8)
     shuffled[:] = np.ascontiguousarray(values).reshape(-1).view(np.uint8).reshape(-1, size).T
@@ -33,10 +44,10 @@ def encode_chunk(values: NDArray[Any]) -> bytes:
 
 
 def fletcher32(data: bytes) -> int:
-    """Fletcher's checksum of 16-bit words, as HDF5 has it.
+    """Fletcher's checksum of 16-bit words, as HDF5 computes it.
 
-    Words are big-endian, the last one padded with zeros. Sums are modulo 65535, with 65535 in
-    the place of 0 unless all words are 0.
+    Words are big-endian, the last one padded with zeros. Sums are modulo 65535, with 65535
+    instead of 0 unless all words are 0.
     """
     words = np.frombuffer(data + bytes(len(data) % 2), dtype="<u2").astype(np.int64)
     # These are little-endian: modulo 65535, a word times 256 has its two bytes the other way round,

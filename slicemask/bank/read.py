@@ -25,8 +25,8 @@ _FEW_POSES = 64
 _NEAR_ROWS = 64
 # What h5py raises at a damaged file.
 _HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
-# The most values of a stored chunk. HDF5 unpacks chunks whole, so this bounds the memory that a
-# bank can ask for by saying so.
+# The most values of a stored chunk. HDF5 decodes chunks as a whole, so this bounds the
+# memory that a damaged or hostile file can make a reader allocate.
 _MOST_CHUNK_VALUES = 1 << 20
 _MASK_OBJECTS: dict[str, type] = {"data": np.float32, "indices": np.int32, "indptr": np.int64}
 
@@ -101,7 +101,7 @@ class Bank:
     def csr(self) -> "csr_matrix":
         """The distinct masks, float32 SciPy CSR [M, L * L]; cell (i, j) is column i * L + j.
 
-        Reads all rows. Indices are int32 if they fit, as SciPy likes.
+        Reads all rows. Indices are int32 if they fit, as SciPy expects.
         """
         from scipy.sparse import csr_matrix
 
@@ -124,11 +124,11 @@ class Bank:
         Raises
         ------
         PoseError
-            If an index is out of that range or no whole number.
+            If an index is out of that range or not a whole number.
         """
         asked = np.asarray(pose)
         if asked.size and not np.issubdtype(asked.dtype, np.integer):
-            raise PoseError(f"pose index {pose!r} is no whole number")
+            raise PoseError(f"pose index {pose!r} is not a whole number")
         outside = asked[(asked < 0) | (asked >= len(self))]
         if outside.size:
             raise PoseError(
@@ -144,7 +144,7 @@ class Bank:
         return dense[place.ravel()].reshape(*asked.shape, self.spec.frustum.slices, cells, cells)
 
     def _rows_of(self, poses: NDArray[np.integer[Any]]) -> NDArray[Any]:
-        """Rows of poses' slices, [k, N]; a few poses do not make the whole index be read."""
+        """Rows of poses' slices, [k, N]; for a few poses only their part of the index is read."""
         if "index" in self.__dict__ or len(poses) > _FEW_POSES:
             return np.asarray(self.index[poses])
         rows = [self._read("index", slice(int(k), int(k) + 1)) for k in poses]
@@ -210,7 +210,7 @@ class Bank:
         dtypes.update((f"masks/{name}", dtype) for name, dtype in _MASK_OBJECTS.items())
         for name, shape in shapes.items():
             dataset = self._file.get(name)
-            # A link to elsewhere would bring in what the seal does not vouch for.
+            # A link to elsewhere would bring in what the seal does not cover.
             hard = all(
                 isinstance(self._file.get(part, getlink=True), h5py.HardLink)
                 for part in (name, name.split("/")[0])
@@ -227,7 +227,7 @@ class Bank:
                     f"{np.dtype(dtypes[name])} [{expected}]",
                     f"{dataset.dtype} {list(dataset.shape)}",
                 )
-            # A dataset may declare more than the file holds; reading it would ask for that much
+            # A dataset may declare more than the file holds; reading it would take that much
             # memory and give zeros.
             chunk = dataset.chunks
             if (
@@ -302,12 +302,12 @@ def open_bank(path: str | Path, check: bool = True) -> Bank:
     Returns
     -------
     bank : Bank
-        Nothing but the spec is read yet.
+        An open bank, of which only the spec has been read; use it in a ``with`` statement.
 
     Raises
     ------
     BankFormatError
-        If the file is no bank, cut short, altered, of another version, or its objects do not
+        If the file is not a bank, cut short, altered, of another version, or its objects do not
         fit its spec; the message names the file, the object, what was expected and found.
     BankError
         If it cannot be read at all.
@@ -315,7 +315,7 @@ def open_bank(path: str | Path, check: bool = True) -> Bank:
     path = Path(path)
     try:
         if path.exists() and not path.is_file():
-            raise BankError(f"{path}: is a folder or no plain file; name a bank")
+            raise BankError(f"{path}: is a folder or not a plain file; name a bank")
         if check:
             check_seal(path)
         return Bank(path)

@@ -1,4 +1,4 @@
-"""From distinct slices to CSR rows, in pieces that threads compute and a file takes in order."""
+"""From distinct slices to CSR rows, in pieces computed by threads and written in order."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -14,7 +14,7 @@ from slicemask.geometry.distinct import Images
 from slicemask.geometry.masks import NEGLIGIBLE, Engine, engine_fractions
 from slicemask.geometry.symmetry import SYMMETRIES
 
-# Values of sectors' masks that a piece has, at most.
+# Cells of sectors' masks in a piece, at most: 1 MiB of float32, which a processor's cache holds.
 _PIECE_VALUES = 1 << 18
 
 _Piece = TypeVar("_Piece")
@@ -41,7 +41,7 @@ class Rows:
 
 
 def split_by_size(images: Images, cells: int) -> Iterator[Images]:
-    """Cut slices into pieces of bounded size; a sector's images stay together."""
+    """Split slices into pieces of bounded size; a sector's images stay together."""
     step = max(1, _PIECE_VALUES // cells**2)
     for start in range(0, len(images.u), step):
         sectors = slice(start, start + step)
@@ -57,7 +57,7 @@ def split_by_size(images: Images, cells: int) -> Iterator[Images]:
 
 
 def mask_rows(images: Images, cells: int, engine: Engine) -> list[Rows]:
-    """Compute the sectors' masks, and give the rows of their images in order, in parts."""
+    """Compute the sectors' masks, and return the rows of their images in order, in parts."""
     sectors = _sector_masks(images, cells, engine)
     # A few images at a time stay in the processor's cache.
     step = max(1, _PIECE_VALUES // cells**2)
@@ -69,12 +69,12 @@ def mask_rows(images: Images, cells: int, engine: Engine) -> list[Rows]:
 
 
 def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.float32]:
-    """Masks of the sectors, float32 [R, L, L], with the noise of rounding next to 0."""
+    """Masks of the sectors, float32 [R, L, L], with rounding noise where they are near 0."""
     width_deg = images.right_deg - images.left_deg
     some = (width_deg > 0.0) & (width_deg < 360.0)
     fractions: NDArray[np.float32] = engine_fractions(engine)(
         images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
-    ).astype(np.float32)  # next to 1, float32 knows no noise
+    ).astype(np.float32)  # which rounds noise near 1 away
     if some.all():  # as nearly always: a copy would take longer than the masks themselves
         return fractions
     masks = np.zeros((len(some), cells, cells), dtype=np.float32)
@@ -109,9 +109,25 @@ def map_ordered(
     pool: ThreadPoolExecutor,
     most_waiting: int,
 ) -> Iterator[tuple[float, _Result]]:
-    """Compute pieces on threads; yield results in order, with few waiting, beside what came along.
+    """Compute pieces on threads, and yield the results in the order of the pieces.
 
-    NumPy and Shapely let go of the interpreter's lock while they work: threads are enough.
+    NumPy and Shapely release the interpreter's lock while they work: threads are enough.
+
+    Parameters
+    ----------
+    compute : callable
+        Called with each piece, on a thread.
+    pieces : iterator of (float, piece)
+        The pieces, each with the fraction of all work that is done after it, in [0, 1].
+    pool : ThreadPoolExecutor
+        The threads.
+    most_waiting : int
+        How many pieces may be submitted and not yet yielded, which bounds memory.
+
+    Yields
+    ------
+    (float, result)
+        The fraction of the piece, and its result.
     """
     waiting: deque[tuple[float, Future[_Result]]] = deque()
     for fraction_done, piece in pieces:

@@ -1,9 +1,9 @@
 """The seal: the first 512 bytes of a bank, which vouch for all the others.
 
-HDF5 lets a file begin with a block of its user's own. A bank's holds three lines of text (format
+HDF5 lets a file begin with a block for its user. A bank's holds three lines of text (format
 and version, size, SHA-256 of everything after the block) padded with zeros. A reader checks it
 before HDF5 parses a single byte, so a bank that was cut short or altered anywhere is refused
-rather than misread, and a hostile file cannot reach the HDF5 library by way of a bank's name.
+rather than misread, and a file that is not a bank does not reach the HDF5 library.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ _PATTERN = re.compile(
 
 
 def write_seal(path: Path) -> None:
-    """Seal a finished file in place: fill its first 512 bytes in."""
+    """Seal a finished file in place: fill in its first 512 bytes."""
     with path.open("r+b") as file:
         file.seek(SEAL_BYTES)
         digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -47,7 +47,7 @@ def check_seal(path: Path) -> None:
     Raises
     ------
     BankFormatError
-        If it is no bank, a bank of another version, cut short or altered.
+        If it is not a bank, or a bank of another version, cut short or altered.
     OSError
         If it cannot be read.
     """
@@ -80,7 +80,10 @@ def check_seal(path: Path) -> None:
 def _fault(block: bytes) -> str:
     """What is wrong with a first block that is no seal."""
     if not block:
-        return "is empty, not a slicemask bank"
+        return (
+            "is empty, not a slicemask bank; remove it, or build it again with "
+            "slicemask build --force"
+        )
     if block.startswith(_MAGIC):
         if len(block) < SEAL_BYTES:
             return (

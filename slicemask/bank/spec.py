@@ -30,7 +30,7 @@ class PoseDigest:
     Raises
     ------
     SpecError
-        If a value cannot be.
+        If a value is invalid.
     """
 
     count: int

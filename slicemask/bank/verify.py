@@ -74,7 +74,12 @@ def verify_bank(
     jobs : int
         Threads; as many as there are processors by default.
     progress : callable, optional
-        Called with (poses done, poses in all), from a thread of the verification's.
+        Called with (poses done, poses in all), from the thread that compares.
+
+    Returns
+    -------
+    verification : Verification
+        What was compared and found; see ``passed``.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 import io
 import os
+import secrets
 from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from slicemask.bank.chunks import FILTERS, encode_chunk
 from slicemask.bank.seal import SEAL_BYTES, VERSION, write_seal
 from slicemask.bank.spec import BankSpec
+from slicemask.files import sync_to_disk
 
 FORMAT = "slicemask-bank"
 # The oldest file layout in which HDF5 checksums its own structures; any HDF5 from 1.10 reads it.
@@ -68,11 +70,11 @@ class _Column:
 
 
 class BankWriter:
-    """A bank being written to ``<target's folder>/.<target's name>.partial``.
+    """A bank being written to a temporary file beside its target.
 
     Used in a ``with`` statement: rows are added in order, `finish` adds the rest, and leaving the
     block without an error seals the file, brings it safely to disk and renames it to the target.
-    Leaving with an error removes it. That the file cannot be begun is told with the first rows.
+    Leaving with an error removes it. If the file cannot be created, `add_rows` raises that.
 
     Parameters
     ----------
@@ -81,12 +83,17 @@ class BankWriter:
     spec : BankSpec
         What it holds; ``versions`` included.
     pool : ThreadPoolExecutor
-        The threads that begin the file and deflate its chunks.
+        The threads that create the file and deflate its chunks.
+    locked : bool
+        Whether no other builder of the target is at work. Then the temporary file is
+        ``.<target's name>.partial``, which takes the place of one that a killed builder left;
+        otherwise it has a name of its own.
     """
 
-    def __init__(self, target: Path, spec: BankSpec, pool: ThreadPoolExecutor):
+    def __init__(self, target: Path, spec: BankSpec, pool: ThreadPoolExecutor, locked: bool = True):
         self.target = target
-        self.partial = target.with_name(f".{target.name}.partial")
+        own = "" if locked else f".{secrets.token_hex(4)}"
+        self.partial = target.with_name(f".{target.name}{own}.partial")
         self.spec = spec
         self.rows = 0
         self.nonzeros = 0
@@ -140,7 +147,7 @@ class BankWriter:
                 self._send(column)
 
     def _send(self, column: _Column) -> None:
-        """Have a column's chunk deflated, and begin the next; write those whose turn it is."""
+        """Have a column's chunk deflated, and begin the next; write those that come next."""
         start, stop = column.sent, column.sent + column.filled
         packed = self._pool.submit(encode_chunk, column.chunk)
         self._waiting.append((column.dataset, start, stop, packed))
@@ -200,17 +207,17 @@ class BankWriter:
             self._raise_failure()
             # The disk has its work while the bytes are summed up.
             with ThreadPoolExecutor(1) as beside:
-                synced = beside.submit(_sync, self.partial)
+                synced = beside.submit(sync_to_disk, self.partial)
                 write_seal(self.partial)
             synced.result()
-            _sync(self.partial)
+            sync_to_disk(self.partial)
             os.replace(self.partial, self.target)
         except BaseException:
             self._discard()
             raise
-        # The bank is there. Not every system can sync a folder, so that its name is safe as well.
+        # The bank is complete. Not every system can sync a folder, to make its name safe as well.
         with suppress(OSError):
-            _sync(self.target.parent)
+            sync_to_disk(self.target.parent)
 
     def _discard(self) -> None:
         """Let go of the file, and remove it."""
@@ -222,11 +229,3 @@ class BankWriter:
             self._open.close()
         finally:
             self.partial.unlink(missing_ok=True)
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -2,11 +2,12 @@
 
 import csv
 import itertools
+import logging
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,13 @@ from slicemask.geometry.numbers import is_real, is_whole
 
 Places = Literal["centres", "endpoints"]
 COLUMNS = ("u", "v", "heading_deg")
+
+log = logging.getLogger(__name__)
+
+_SEPARATORS = ",;\t"
+_NOT_NUMBERS = "poses must be real numbers in an array [K, 3] of u, v, heading_deg"
+# Of headings that were rounded to a few digits, too.
+_LARGEST_RADIANS = 2 * np.pi + 1e-3
 
 
 @dataclass(frozen=True)
@@ -188,13 +196,11 @@ def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray
     """
     try:
         array = np.array(poses)
-        if np.iscomplexobj(array) or array.dtype.names:
-            raise TypeError("complex numbers, or records")
-        array = array.astype(np.float64)
-    except (TypeError, ValueError) as error:
-        raise PoseError(
-            "poses must be real numbers in an array [K, 3] of u, v, heading_deg"
-        ) from error
+    except (TypeError, ValueError) as error:  # rows of unequal length
+        raise PoseError(_NOT_NUMBERS) from error
+    if array.dtype.kind not in "iuf":  # dates, text and booleans would convert
+        raise PoseError(f"{_NOT_NUMBERS}; they are of type {array.dtype}")
+    array = array.astype(np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise PoseError(
             f"poses have shape {list(array.shape)}; they must be [K, 3]: u, v, heading_deg"
@@ -218,13 +224,21 @@ def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray
 
 
 def read_poses(path: str | Path) -> NDArray[np.float64]:
-    """Read poses from a file: float64 [K, 3] of u, v, heading_deg, checked by `check_poses`.
+    """Read candidate poses from a file.
+
+    Where all headings lie within 0 and 2 pi, as radians do, a warning is logged.
 
     Parameters
     ----------
     path : path
-        ``.npy``: an array [K, 3]. Anything else: CSV with a header that names the columns u, v
-        and heading_deg, in any order; further columns are passed over.
+        ``.npy``: an array of numbers [K, 3] of u, v, heading_deg. Anything else: text, UTF-8, with
+        a header that names the columns u, v and heading_deg in any order and case, separated by
+        commas, semicolons or tabs. Further columns and blank lines are skipped.
+
+    Returns
+    -------
+    poses : float64 [K, 3]
+        u, v in [0, 1] of the aerial frame and heading_deg in [0, 360).
 
     Raises
     ------
@@ -233,16 +247,37 @@ def read_poses(path: str | Path) -> NDArray[np.float64]:
     """
     path = Path(path)
     try:
-        return _read_npy(path) if path.suffix.lower() == ".npy" else _read_csv(path)
+        poses, names = _read_npy(path) if path.suffix.lower() == ".npy" else _read_text(path)
     except FileNotFoundError:
         raise PoseError(f"{path}: there is no such file; name a .csv or .npy file") from None
     except OSError as error:
         raise PoseError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError:
-        raise PoseError(f"{path}: is neither CSV text nor a .npy file") from None
+        raise PoseError(f"{path}: is neither CSV text in UTF-8 nor a .npy file") from None
+    try:
+        checked = check_poses(poses, names)
+    except PoseError as error:
+        raise PoseError(f"{path}: {error}") from None
+    if _look_like_radians(poses[:, 2]):
+        log.warning(
+            "%s: all headings lie within 0 and 2 pi, as if they were in radians; they are read as "
+            "degrees",
+            path,
+        )
+    return checked
 
 
-def _read_npy(path: Path) -> NDArray[np.float64]:
+def _look_like_radians(headings: NDArray[Any]) -> bool:
+    """Whether several headings all lie within 0 and 2 pi, and are not whole degrees."""
+    return bool(
+        ((headings >= 0) & (headings <= _LARGEST_RADIANS)).all()
+        and (headings != headings[0]).any()
+        and (headings % 1 != 0).any()
+    )
+
+
+def _read_npy(path: Path) -> tuple[NDArray[Any], Iterator[str]]:
+    """An array of any kind, and its rows' names."""
     try:
         with path.open("rb") as file:
             array = np.lib.format.read_array(file, allow_pickle=False)
@@ -250,41 +285,48 @@ def _read_npy(path: Path) -> NDArray[np.float64]:
         raise
     except Exception as error:  # a damaged header makes NumPy's parsers raise all sorts
         raise PoseError(f"{path}: is not a plain .npy array of numbers, or is cut short") from error
-    try:
-        return check_poses(array, map("row {}".format, itertools.count()))
-    except PoseError as error:
-        raise PoseError(f"{path}: {error}") from None
+    return array, map("row {}".format, itertools.count())
 
 
-def _read_csv(path: Path) -> NDArray[np.float64]:
+def _read_text(path: Path) -> tuple[NDArray[np.float64], Iterator[str]]:
+    """The poses of a table, and their lines' names."""
     rows: list[list[float]] = []
     lines: list[int] = []
     with path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.reader(file)
+        numbered = enumerate(file, start=1)
+        first, top = next(((number, line) for number, line in numbered if line.strip()), (1, ""))
+        separator = max(_SEPARATORS, key=top.count)
+        reader = csv.reader(itertools.chain([top], file), delimiter=separator)
         try:
-            header = [name.strip() for name in next(reader, [])]
+            header = [name.strip().lower() for name in next(reader, [])]
             missing = [name for name in COLUMNS if name not in header]
-            if missing or len(set(header)) < len(header):
+            if missing or len(set(filter(None, header))) < len(list(filter(None, header))):
                 fault = f"{', '.join(missing)} missing" if missing else "a column named twice"
                 raise PoseError(
-                    f"{path}: line 1: {fault}; the header must name the columns "
-                    f"{', '.join(COLUMNS)}, parted by commas, and it reads {','.join(header)!r}"
+                    f"{path}: line {first}: {fault}; the header must name the columns "
+                    f"{', '.join(COLUMNS)}, separated by commas, semicolons or tabs, and it reads "
+                    f"{top.strip()!r}"
                 )
             columns = [header.index(name) for name in COLUMNS]
             for row in reader:
-                if not row:
+                if not any(field.strip() for field in row):
                     continue
+                line = first - 1 + reader.line_num
                 try:
-                    rows.append([float(row[column]) for column in columns])
+                    rows.append([_number(row[column]) for column in columns])
                 except (ValueError, IndexError):
                     raise PoseError(
-                        f"{path}: line {reader.line_num}: {','.join(row)!r} does not give "
-                        "three numbers u, v, heading_deg"
+                        f"{path}: line {line}: {separator.join(row)!r} does not give three "
+                        "numbers u, v, heading_deg, such as 0.5"
                     ) from None
-                lines.append(reader.line_num)
+                lines.append(line)
         except csv.Error as error:
-            raise PoseError(f"{path}: line {reader.line_num}: {error}") from None
-    try:
-        return check_poses(np.array(rows).reshape(-1, 3), (f"line {line}" for line in lines))
-    except PoseError as error:
-        raise PoseError(f"{path}: {error}") from None
+            raise PoseError(f"{path}: line {first - 1 + reader.line_num}: {error}") from None
+    return np.array(rows).reshape(-1, 3), (f"line {line}" for line in lines)
+
+
+def _number(text: str) -> float:
+    """A number as files write it: `float` also takes 1_0 and digits of other scripts."""
+    if "_" in text or not text.isascii():
+        raise ValueError(text)
+    return float(text)

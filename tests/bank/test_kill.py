@@ -54,8 +54,8 @@ def fork_builder(out, limit_bytes=None, force=True):
         # One sentence, which names the file and the system's reason.
         reasons = [os.strerror(number) for number in (errno.EFBIG, errno.ENOSPC)]
         said = str(error)
-        one = "\n" not in said and said.startswith(str(out)) and said.endswith(tuple(reasons))
-        sys.exit(REFUSED if one else ELSE)
+        one = "\n" not in said and said.startswith(str(out))
+        sys.exit(REFUSED if one and any(reason in said for reason in reasons) else ELSE)
     # Interpreters end the usual way, so that HDF5 has its chance to crash at the end.
     sys.exit(REUSED if result.reused else BUILT)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slicemask import Frustum, PoseError, PoseGrid, SpecError, read_poses, slice_masks
+from slicemask.geometry.poses import check_poses
 
 
 def test_a_grid_lists_rows_then_columns_then_headings():
@@ -103,6 +104,64 @@ def test_csv_in_any_order_with_more_columns_and_headings_of_any_turn(tmp_path):
     assert read_poses(path).tolist() == [[0.75, 0.25, 270.0], [0.0, 1.0, 0.0]]
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("header", ["u {0}v{0}heading_deg", "U{0}V{0}Heading_deg"])
+@pytest.mark.parametrize("start", ["", "\ufeff", "\n  \n", "\ufeff\r\n"])
+def test_tables_as_programs_write_them(tmp_path, separator, header, start):
+    path = tmp_path / "poses.csv"
+    lines = [header, "0.25{0} 0.5{0}90", "", " ", "{0}{0}", "1e-1{0}.5{0}-10.", "\t"]
+    text = start + "\r\n".join(line.format(separator) for line in lines)
+    path.write_text(text, encoding="utf-8", newline="")
+    assert read_poses(path).tolist() == [[0.25, 0.5, 90.0], [0.1, 0.5, 350.0]]
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((2, 3), dtype="datetime64[s]"),
+        np.zeros((2, 3), dtype="timedelta64[s]"),
+        np.array([["0.5", "0.5", "90"]]),
+        np.array([[b"0.5", b"0.5", b"90"]]),
+        np.zeros((2, 3), dtype=bool),
+    ],
+    ids=lambda array: str(array.dtype),
+)
+def test_arrays_of_another_kind_than_numbers_are_refused(tmp_path, array):
+    path = tmp_path / "poses.npy"
+    np.save(path, array)
+    with pytest.raises(PoseError, match=r"poses\.npy: poses must be real numbers .*of type"):
+        read_poses(path)
+    with pytest.raises(PoseError, match="poses must be real numbers"):
+        check_poses(array)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npy"])
+@pytest.mark.parametrize(
+    ("headings", "warned"),
+    [
+        ([0.0, 1.57, 3.14], True),
+        ([0.0, 6.2832], True),
+        ([1.57, 1.57], False),
+        ([0.0, 1.0, 2.0], False),
+        ([0.0, 1.57, 90.0], False),
+        ([-1.5, 1.5], False),
+    ],
+)
+def test_headings_that_look_like_radians_are_warned_about(
+    tmp_path, caplog, suffix, headings, warned
+):
+    path = tmp_path / f"poses.{suffix}"
+    poses = [[0.5, 0.5, heading] for heading in headings]
+    if suffix == "npy":
+        np.save(path, poses)
+    else:
+        lines = (",".join(map(str, pose)) for pose in poses)
+        path.write_text("\n".join(["u,v,heading_deg", *lines]))
+    assert np.allclose(read_poses(path)[:, 2], np.array(headings) % 360)
+    assert len(caplog.messages) == warned
+    assert all("as if they were in radians" in message for message in caplog.messages)
+
+
 def test_npy_gives_the_same_poses(tmp_path):
     path = tmp_path / "poses.npy"
     np.save(path, np.array([[0.1, 0.2, -1e-20]], dtype=np.float32))
@@ -114,7 +173,13 @@ def test_npy_gives_the_same_poses(tmp_path):
     [
         ("u,v\n0,0\n", "line 1: heading_deg missing"),
         ("", "line 1: u, v, heading_deg missing"),
-        ("u;v;heading_deg\n0;0;0\n", "line 1: u, v, heading_deg missing.*parted by commas"),
+        ("u|v|heading_deg\n0|0|0\n", "line 1: u, v, heading_deg missing.*separated by commas"),
+        ("\n \nu,v\n0,0\n", "line 3: heading_deg missing"),
+        ("U,u,v,heading_deg\n0,0,0,1\n", "line 1: a column named twice"),
+        ("u,v,heading_deg\n0.5,0.5,1_0\n", "line 2: '0.5,0.5,1_0' does not give three numbers"),
+        ("u,v,heading_deg\n0.5,0.5,\u0661\n", "line 2: '0.5,0.5,\u0661' does not give"),
+        ("u;v;heading_deg\n0,5;0,5;90\n", "line 2: '0,5;0,5;90' does not give .* such as 0.5"),
+        (" \nu\tv\theading_deg\n0\t0\t0\n\t\n0\t2\t0\n", "line 5 lies outside the tile"),
         ("u,v,heading_deg,u\n0,0,0,1\n", "line 1: a column named twice"),
         ("u,v,heading_deg\n", "no poses"),
         ("u,v,heading_deg\n0.5,0.5,0\n0.5,nan,0\n", "line 3 is not finite"),

@@ -476,7 +476,7 @@ def test_more_bad_samples_than_the_run_bears(run, cache, vigor, tmp_path):
 
 def test_results_that_cannot_be_written_are_refused_first(run, cache, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match="file: is no folder; name another"):
+    with pytest.raises(RunError, match="file: is not a folder; name another"):
         evaluate(run, out=tmp_path / "file" / "out", cache=cache, device="cpu")
 
 
