@@ -31,6 +31,10 @@ class PlotError(SlicemaskError, OSError):
     """A picture that cannot be read or written."""
 
 
+class ImageError(SlicemaskError, OSError):
+    """An image that is missing, corrupt, cut short, too large or of the wrong shape or depth."""
+
+
 class OutputError(SlicemaskError, OSError):
     """A file of results that cannot be written where it should go."""
 

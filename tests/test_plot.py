@@ -11,7 +11,7 @@ from PIL import Image
 from PIL.ImageColor import getrgb
 
 from slicemask import Frustum, SlicemaskError, slice_masks
-from slicemask.errors import PlotError, PoseError, SpecError
+from slicemask.errors import ImageError, PlotError, PoseError, SpecError
 from slicemask.plot import (
     animate_heading,
     draw_pose,
@@ -326,25 +326,23 @@ def _broken_tiles(folder):
     (folder / "nothing.png").write_bytes(b"")
     (folder / "folder").mkdir()
     picture.resize((30, 20)).save(folder / "wide.png")
-    Image.fromarray(np.zeros((4, 4), dtype=np.uint16)).save(folder / "deep.png")
 
 
 @pytest.mark.parametrize(
-    ("name", "error", "message"),
+    ("name", "message"),
     [
-        ("absent.png", PlotError, "there is no such file"),
-        ("cut.png", PlotError, "cannot be read as a picture"),
-        ("bent.png", PlotError, "cannot be read as a picture"),
-        ("text.png", PlotError, "cannot be read as a picture"),
-        ("nothing.png", PlotError, "cannot be read as a picture"),
-        ("folder", PlotError, "is a folder"),
-        ("deep.png", PlotError, "8 bits a channel"),
-        ("wide.png", SpecError, "is 30 x 20 pixels; it must be a square"),
+        ("absent.png", "there is no such image"),
+        ("cut.png", "is unreadable as an image"),
+        ("bent.png", "is unreadable as an image"),
+        ("text.png", "is unreadable as an image"),
+        ("nothing.png", "is unreadable as an image"),
+        ("folder", "is a folder"),
+        ("wide.png", "30x20 pixels; an aerial tile must be square"),
     ],
 )
-def test_a_tile_that_cannot_be_is_refused(tmp_path, name, error, message):
+def test_an_invalid_tile_is_refused(tmp_path, name, message):
     _broken_tiles(tmp_path)
-    with pytest.raises(error, match=message) as caught:
+    with pytest.raises(ImageError, match=message) as caught:
         read_aerial(tmp_path / name)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -358,8 +356,8 @@ def test_a_tile_that_cannot_be_is_refused(tmp_path, name, error, message):
         ({"masks": np.zeros((4, 4, 5))}, SpecError, r"\[4, 4, 5\]"),
         ({"pose": (0.5, np.nan, 0.0)}, PoseError, "not finite"),
         ({"pose": (0.5, 0.5)}, PoseError, "u, v, heading_deg"),
-        ({"aerial": np.zeros((8, 9, 3), np.uint8)}, SpecError, "9 x 8 pixels"),
-        ({"aerial": np.zeros((8, 8), np.uint8)}, SpecError, r"\[8, 8\]"),
+        ({"aerial": np.zeros((8, 9, 3), np.uint8)}, ImageError, "9x8 pixels"),
+        ({"aerial": np.zeros((8, 8), np.uint8)}, ImageError, r"\[8, 8\]"),
     ],
 )
 def test_a_drawing_that_cannot_be_is_refused(change, error, message):

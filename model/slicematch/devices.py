@@ -1,14 +1,12 @@
 """Where a model is trained, where it runs, and in how many bits."""
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 
 from slicematch.errors import ConfigError
-
-# Lightning's names.
-Precision = Literal["32-true", "16-mixed", "bf16-mixed"]
+from slicematch.precision import Precision
 
 _AUTOCAST = {"16-mixed": torch.float16, "bf16-mixed": torch.bfloat16}
 

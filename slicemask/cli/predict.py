@@ -81,9 +81,9 @@ def predict(
         save_geojson(feature_collection(estimate, metres_per_pixel, centre), geojson)
         content["geojson"] = geojson
     if out is not None:
-        from slicematch.data import read_image
         from slicematch.evaluation.drawing import draw_estimate
 
+        from slicemask.images import read_image
         from slicemask.plot import read_aerial, save_figure
 
         figure = draw_estimate(

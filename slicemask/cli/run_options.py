@@ -2,14 +2,14 @@
 
 import importlib.util
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import click
+from slicematch.precision import Precision
 
 from slicemask.cli.options import cache_option
 
-# As in `slicematch.devices.Precision`, which takes torch's time to import.
-PRECISIONS = click.Choice(["32-true", "16-mixed", "bf16-mixed"])
+PRECISIONS = click.Choice(get_args(Precision))
 
 run_argument = click.argument("run")
 grid_option = click.option(

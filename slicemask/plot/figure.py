@@ -12,6 +12,7 @@ from slicemask.errors import SpecError
 from slicemask.geometry.azimuths import direction
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.poses import check_poses
+from slicemask.images import read_aerial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -247,29 +248,9 @@ def _check_masks(masks: ArrayLike, frustum: Frustum) -> Array:
 
 def _square_picture(aerial: Aerial) -> Image.Image:
     """The tile as an RGB picture, no larger than can be seen."""
-    if not isinstance(aerial, Image.Image):
-        pixels = np.asarray(aerial)
-        if pixels.ndim != 3 or pixels.shape[2] != 3:
-            raise SpecError(
-                f"the aerial tile has shape {list(pixels.shape)}; it must be [S, S, 3]: red, "
-                "green, blue"
-            )
-        if pixels.dtype != np.uint8:
-            pixels = np.round(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
-        aerial = Image.fromarray(pixels)
-    check_square(aerial)
-    picture = aerial.convert("RGB")
+    picture = read_aerial(aerial)
     picture.thumbnail((_MOST_PIXELS, _MOST_PIXELS))
     return picture
-
-
-def check_square(picture: Image.Image) -> None:
-    """Raise SpecError unless the picture is a square."""
-    if picture.width != picture.height:
-        raise SpecError(
-            f"the aerial tile is {picture.width} x {picture.height} pixels; it must be a square: "
-            "cut it to one around the same centre"
-        )
 
 
 def _blend(masks: Array, colours: Array, opacity: float) -> Array:

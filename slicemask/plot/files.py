@@ -1,6 +1,5 @@
 """Picture files: aerial tiles read, figures and animations written whole or not at all."""
 
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +20,6 @@ from slicemask.plot.figure import (
     Aerial,
     Pose,
     check_pose,
-    check_square,
     draw_slices,
 )
 
@@ -36,50 +34,6 @@ _FRAME_SIZE = (4.6, 4.9)
 _FRAME_DOTS, _MOST_SLICES_AT_FULL_SIZE = 100, 16
 _FRAME_COLOURS = 128
 _TURN_SECONDS = 7.2
-
-
-def read_aerial(path: str | Path) -> Image.Image:
-    """Read an aerial tile: an RGB picture of any square size, north up.
-
-    Raises
-    ------
-    PlotError
-        If the file is missing, no picture that can be read, or not of 8 bits a channel.
-    SpecError
-        If the picture is no square.
-    """
-    path = Path(path)
-    try:
-        # Pillow warns of pictures half as large as those it refuses.
-        quiet = warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning)
-        with quiet, Image.open(path) as opened:
-            if opened.mode.startswith(("I", "F")):
-                raise PlotError(
-                    f"{path}: has pixels of kind {opened.mode}; an aerial tile must have 8 bits a "
-                    "channel: convert it"
-                )
-            picture = opened.convert("RGB")
-    except PlotError:
-        raise
-    except Image.DecompressionBombError:
-        most = 2 * (Image.MAX_IMAGE_PIXELS or 0)
-        raise PlotError(f"{path}: has more than {most:,} pixels; make it smaller") from None
-    except FileNotFoundError:
-        raise PlotError(f"{path}: there is no such file; name a picture, north up") from None
-    except IsADirectoryError:
-        raise PlotError(f"{path}: is a folder; name a picture, north up") from None
-    except PermissionError:
-        raise PlotError(f"{path}: may not be read; change its permissions") from None
-    except Exception as error:  # Pillow's readers raise errors of any kind on a broken file
-        raise PlotError(
-            f"{path}: cannot be read as a picture (PNG, JPEG, TIFF or another that Pillow knows); "
-            "it may be cut short or altered"
-        ) from error
-    try:
-        check_square(picture)
-    except SpecError as error:
-        raise SpecError(f"{path}: {error}") from None
-    return picture
 
 
 def check_figure_target(path: str | Path) -> Path:

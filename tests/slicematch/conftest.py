@@ -64,7 +64,7 @@ def make_kitti_tree():
 def true_colours(monkeypatch):
     """Augmentation that turns and mirrors, but leaves the colours alone."""
     monkeypatch.setattr(
-        "slicematch.data.dataset.recolour", lambda ground, aerial, _: (ground, aerial)
+        "slicematch.data.dataset.recolour", lambda ground, aerial, *_: (ground, aerial)
     )
 
 

@@ -1,25 +1,41 @@
-"""Data sets of ground and aerial images with known poses: VIGOR and KITTI."""
+"""Data sets of ground and aerial images with known poses, by name.
 
-from slicematch.data.dataset import BadSamples, DataConfig, PoseDataset, collate
-from slicematch.data.errors import DataError, DatasetError, ImageError, SampleError
-from slicematch.data.images import denormalise, normalise, read_image
-from slicematch.data.kitti import KittiConfig, KittiDataset
-from slicematch.data.vigor import VigorConfig, VigorDataset
+A data set is one file and one line here: a class of settings, derived from
+`slicematch.data.source.DataConfig`, that knows the defaults and opens the samples. The file is
+imported when the data set is asked for, and imports no torch.
+"""
 
-__all__ = [
-    "BadSamples",
-    "DataConfig",
-    "DataError",
-    "DatasetError",
-    "ImageError",
-    "KittiConfig",
-    "KittiDataset",
-    "PoseDataset",
-    "SampleError",
-    "VigorConfig",
-    "VigorDataset",
-    "collate",
-    "denormalise",
-    "normalise",
-    "read_image",
-]
+import importlib
+
+from slicematch.data.source import DataConfig
+from slicematch.errors import ConfigError
+
+DATA_SETS = {
+    "vigor": ("slicematch.data.vigor", "VigorConfig"),
+    "kitti": ("slicematch.data.kitti", "KittiConfig"),
+}
+
+
+def config_class(name: str) -> type[DataConfig]:
+    """The settings of a data set.
+
+    Parameters
+    ----------
+    name : str
+        A key of `DATA_SETS`.
+
+    Returns
+    -------
+    type
+        A subclass of `DataConfig`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such data set.
+    """
+    if name not in DATA_SETS:
+        raise ConfigError(f"data is {name!r}; it must be one of {', '.join(DATA_SETS)}")
+    module, config = DATA_SETS[name]
+    found: type[DataConfig] = getattr(importlib.import_module(module), config)
+    return found

@@ -1,123 +1,55 @@
-"""What the data sets share: settings, seeded draws, and what becomes of a sample that is broken."""
+"""Samples as tensors, with what is drawn at random, and what becomes of unreadable ones."""
 
 import json
 import logging
 import zlib
-from dataclasses import dataclass
+from collections import Counter
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, cast, get_args
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import Dataset, default_collate
 
+from slicemask.errors import ImageError
 from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 from slicematch.data.augmentation import recolour
 from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.images import normalise
+from slicematch.data.source import DataConfig, Part
 from slicematch.evaluation.metrics import in_place_prior
 
-PARTS = ("train", "validation", "test")
 log = logging.getLogger(__name__)
+Sample = dict[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True)
-class DataConfig:
-    """Settings that both data sets know.
+class BadSampleLog:
+    """The samples of one run that are unreadable, written down as they are met.
 
-    Parameters
-    ----------
-    root : path
-        The folder of the data tree.
-    heading_prior_deg : float or None
-        How far the heading may lie from the one the data set holds to, to either side: 0 is a
-        known heading ("aligned"), None (the default) one wholly unknown. From 0 to 180.
-    ground_size : (height, width)
-        Of the ground image as returned, in pixels.
-    aerial_size : int
-        Side of the aerial image as returned, in pixels.
-    validation_fraction : float
-        The share of the training file that is set aside for validation, since neither data set
-        has a file for it; 0 trains on everything and leaves no validation part. Ours: 0.1.
-    augment : bool
-        Turn, mirror and recolour the samples of the training part: see `PoseDataset`. Ours; the
-        paper does not.
-    extent : (u0, v0, u1, v1)
-        The part of the tile where candidates stand; the whole by default.
-    place_prior : (u, v, radius) or None
-        Candidates farther than the radius from (u, v) are left out. Neither leaves a sample out.
-    seed : int
-        Of the validation part and of every heading, shift and turn that is drawn.
-
-    Raises
-    ------
-    DatasetError
-        If a value is out of its range.
-    """
-
-    root: str | Path
-    heading_prior_deg: float | None = None
-    ground_size: tuple[int, int]
-    aerial_size: int = 512
-    validation_fraction: float = 0.1
-    augment: bool = False
-    extent: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
-    place_prior: tuple[float, float, float] | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ground_size", tuple(self.ground_size))
-        size = self.ground_size
-        prior = self.heading_prior_deg
-        fraction = self.validation_fraction
-        wanted = {
-            "heading_prior_deg": (
-                prior is None or (isinstance(prior, int | float) and 0 <= prior <= 180),
-                "None or a number from 0 to 180",
-            ),
-            "ground_size": (
-                len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size),
-                "(height, width), two whole numbers of at least 1",
-            ),
-            "aerial_size": (
-                isinstance(self.aerial_size, int) and self.aerial_size > 0,
-                "a whole number of at least 1",
-            ),
-            "validation_fraction": (
-                isinstance(fraction, int | float) and 0 <= fraction < 1,
-                "a number of at least 0 and below 1",
-            ),
-            "augment": (isinstance(self.augment, bool), "true or false"),
-            "seed": (isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0 up"),
-        }
-        for name, (holds, expected) in wanted.items():
-            if not holds:
-                raise DatasetError(f"{name} is {getattr(self, name)!r}; it must be {expected}")
-
-
-class BadSamples:
-    """The samples of one run that could not be read, written down as they are met.
-
-    A line of JSON per sample goes to a file at once, from whichever worker process meets it, so
-    that nothing is lost if the run ends early.
+    A line of JSON for each goes to a file at once, from whichever worker process meets it, so that
+    nothing is lost if the run ends early.
 
     Parameters
     ----------
     path : path
         The file, for instance ``bad_samples.jsonl`` in the run folder.
     limit : int
-        How many different bad samples to bear before the data set itself is held to be broken.
+        How many different samples may be unreadable; more mean that the data set is broken.
     keep : bool
-        Go on with the list that is there, as a resumed run does, rather than begin it anew.
+        Go on with the list that is in the file, as a resumed run does, rather than begin it anew.
+        A last line that a kill left half-written is removed.
     """
 
     def __init__(self, path: str | Path, limit: int = 10, keep: bool = False):
         self.path = Path(path)
         self.limit = limit
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.open("a" if keep else "w").close()
+        with self.path.open("ab") as file:
+            file.truncate(_whole_lines(self.path.read_bytes()) if keep else 0)
 
-    def record(self, name: str, error: SampleError) -> None:
-        """Write a bad sample down, once however often it is met.
+    def record(self, name: str, error: Exception) -> None:
+        """Write an unreadable sample down, once however often it is met.
 
         Raises
         ------
@@ -131,14 +63,15 @@ class BadSamples:
                 file.write(json.dumps({"name": name, "error": str(error)}) + "\n")
         if len(self.entries()) > self.limit:
             raise DatasetError(
-                f"more than {self.limit} samples cannot be read, listed in {self.path}; mend them "
+                f"more than {self.limit} samples are unreadable, listed in {self.path}; mend them "
                 f"or raise the limit; the last one: {error}"
             )
 
     def entries(self) -> dict[str, str]:
         """Sample name to what is wrong with it, in the order met."""
-        lines = self.path.read_text(encoding="utf-8").splitlines()
-        return {entry["name"]: entry["error"] for entry in map(json.loads, lines)}
+        content = self.path.read_bytes()
+        lines = content[: _whole_lines(content)].splitlines()
+        return dict(entry for entry in map(_entry, lines) if entry is not None)
 
     def report(self) -> str:
         """One sentence for the end of an epoch; empty if every sample was read."""
@@ -146,23 +79,39 @@ class BadSamples:
         if not entries:
             return ""
         first = next(iter(entries.values()))
-        return f"{len(entries)} samples could not be read, listed in {self.path}; first: {first}"
+        count = "1 sample is" if len(entries) == 1 else f"{len(entries)} samples are"
+        return f"{count} unreadable, listed in {self.path}; first: {first}"
 
 
-class PoseDataset(Dataset):
+def _whole_lines(content: bytes) -> int:
+    """The length of a file's content up to its last line end."""
+    return content.rfind(b"\n") + 1
+
+
+def _entry(line: bytes) -> tuple[str, str] | None:
+    """The name and error on a line; None for a line that a crash has spoilt."""
+    try:
+        entry = json.loads(line)
+        return str(entry["name"]), str(entry["error"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+class PoseDataset(Dataset[Sample | None]):
     """Ground and aerial images with the pose of the one in the other.
 
     An item is a dict:
 
-    - ``ground``: float32 [3, Hg, Wg], ImageNet-normalised;
-    - ``aerial``: float32 [3, A, A], ImageNet-normalised;
+    - ``ground``: float32 [3, Hg, Wg], normalised by the settings' mean and deviation;
+    - ``aerial``: float32 [3, A, A], likewise;
     - ``pose``: float64 [3], the true (u, v, heading_deg), exact and unrounded;
     - ``metres_per_pixel``: float, of the A-pixel aerial image as returned;
-    - ``name``: str, unique in the data set; ``index``: int.
+    - ``name``: str; ``index``: int, which alone tells samples apart, since names may repeat.
 
     What is random is drawn from (seed, epoch, sample name) alone: the same in any order, worker
-    process or selection of samples, and after a resume. Training draws anew in every epoch; call
-    `set_epoch` before an epoch's iterator is made. Validation and test draw once and for all.
+    process or selection of samples, and after a resume; samples of the same name draw differently.
+    Training draws anew in every epoch; call `set_epoch` before an epoch's iterator is made.
+    Validation and test draw once and for all.
 
     With `DataConfig.augment`, a training sample is shown under one of the tile's eight symmetries
     (quarter turns and mirrorings), drawn anew in every epoch: the tile is turned and mirrored, the
@@ -170,86 +119,109 @@ class PoseDataset(Dataset):
     map the extent and the priors on place and heading onto themselves, so that a true pose stays
     among the candidates. Its colours change as `recolour` says.
 
-    A sample that cannot be read raises `SampleError`, unless the data set was given a `BadSamples`:
-    then it is written down there and, in training, the next readable sample stands in, so that
-    batches stay whole; in validation and test, where a stand-in would count twice, the item is
-    None, which `collate` drops.
+    An unreadable sample raises `SampleError`, unless the data set was given a `BadSampleLog`: then
+    it is written down there and, in training, the next readable sample stands in, so that batches
+    stay whole; in validation and test, where a stand-in would count twice, the item is None, which
+    `collate` drops.
+
+    Parameters
+    ----------
+    config : DataConfig
+        Settings of a data set, such as `slicematch.data.vigor.VigorConfig`.
+    part : {"train", "validation", "test"}
+        Training and validation share the training file (`validation_fraction`).
+    bad_sample_log : BadSampleLog, optional
+        Where unreadable samples are written down; without it they raise.
 
     Attributes
     ----------
     names : list of str
-        One a sample.
-    projection : {"equirectangular", "pinhole"}
-        Of the ground images.
+        One for each sample; they may repeat.
     hfov_deg : float
         Horizontal field of view of the ground images.
     aerial_size : int
         A, in pixels.
-    heading_prior_deg : (centre, range) or None
-        Headings lie within `range` degrees of `centre`; None if they may be any.
+    heading_prior : (centre, half width) or None
+        Headings lie within the half width of the centre, in degrees; None if they may be any.
     tile_metres : float64 [n]
         Side of each aerial image on the ground, in metres.
+    left_out : int
+        Labels that gave no sample because the camera stands off its tile; logged where there are
+        any.
+
+    Raises
+    ------
+    DatasetError
+        If the part is unknown, a file that lists or describes its samples is missing or invalid,
+        or no sample remains.
     """
 
-    projection: ClassVar[str]
-    # The heading that a prior is centred on, degrees clockwise from north.
-    prior_centre_deg: ClassVar[float]
-
     def __init__(
-        self, config: DataConfig, part: str = "train", bad_samples: BadSamples | None = None
+        self, config: DataConfig, part: str = "train", bad_sample_log: BadSampleLog | None = None
     ):
-        if part not in PARTS:
-            raise DatasetError(f"part is {part!r}; it must be one of {', '.join(PARTS)}")
+        if part not in get_args(Part):
+            raise DatasetError(f"part is {part!r}; it must be one of {', '.join(get_args(Part))}")
         if not Path(config.root).is_dir():
             raise DatasetError(
                 f"{config.root}: there is no such folder; name the root of the data tree"
             )
         self.config = config
         self.part = part
-        self.bad_samples = bad_samples
+        self.bad_sample_log = bad_sample_log
         self.aerial_size = config.aerial_size
-        self.names: list[str] = []
-        self.tile_metres = np.empty(0)
-        prior = config.heading_prior_deg
-        unknown = prior is None or prior == 180
-        self.heading_prior_deg = None if unknown else (self.prior_centre_deg, float(prior))
-        self._symmetries = [symmetry for symmetry in SYMMETRIES if self._keeps(symmetry)]
+        self.heading_prior = config.heading_prior
+        self._source = config.open(cast(Part, part))
+        self.names = self._source.names
+        self.hfov_deg = self._source.hfov_deg
+        self.tile_metres = self._source.tile_metres
+        self.left_out = self._source.left_out
+        if self.left_out:
+            log.warning(
+                "%d of the %s part's labels are left out, since the camera stands off its tile",
+                self.left_out,
+                part,
+            )
+        if not self.names:
+            raise DatasetError(
+                f"the {part} part of {config.root} holds no sample; check the split, the cities "
+                f"and validation_fraction, which is {config.validation_fraction:g}"
+            )
+        self._keys = _distinct(self.names)
+        self._symmetries = [symmetry for symmetry in SYMMETRIES if _keeps(symmetry, config)]
         # In shared memory: workers that live on from epoch to epoch see the change.
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+        self._epoch = torch.zeros((), dtype=torch.int64)
+        self._epoch.share_memory_()  # type: ignore[no-untyped-call]
 
     def set_epoch(self, epoch: int) -> None:
         """Let training draw for this epoch; call it before the epoch's iterator is made."""
         self._epoch.fill_(epoch)
 
-    def pose(self, index: int) -> np.ndarray:
+    def pose(self, index: int) -> NDArray[np.float64]:
         """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
-        pose = self._pose(index)
+        pose = self._source.pose(index, self._random(index))
         return self._symmetry(index).pose(pose) if self._augmented else pose
 
     def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample.
+        """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample, normalised.
 
         Raises
         ------
         SampleError
-            If a file of the sample cannot be used.
+            If a file of the sample is unusable.
         """
-        ground, aerial = self._load(index)
+        mean, std = self.config.image_mean, self.config.image_std
+        try:
+            images = self._source.images(index, self._random(index))
+        except ImageError as error:
+            raise SampleError(str(error)) from error
+        ground, aerial = (normalise(image, mean, std) for image in images)
         if not self._augmented:
             return ground, aerial
         symmetry = self._symmetry(index)
         if symmetry.turn[0] < 0:
             ground = ground.flip(-1)
         aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
-        return recolour(ground, aerial, self._random(index, "colours"))
-
-    def _pose(self, index: int) -> np.ndarray:
-        """`pose` as the data set has it."""
-        raise NotImplementedError
-
-    def _load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """`load` as the data set has it."""
-        raise NotImplementedError
+        return recolour(ground, aerial, self._random(index, "colours"), mean, std)
 
     @property
     def _augmented(self) -> bool:
@@ -260,19 +232,7 @@ class PoseDataset(Dataset):
         chosen = self._random(index, "symmetry").integers(len(self._symmetries))
         return self._symmetries[chosen]
 
-    def _keeps(self, symmetry: Symmetry) -> bool:
-        """Whether a symmetry maps the extent and the priors onto themselves."""
-        u0, v0, u1, v1 = self.config.extent
-        heading_deg = self.prior_centre_deg
-        corners = np.array([[u0, v0, heading_deg], [u1, v1, heading_deg]])
-        images = np.array([symmetry.pose(corner) for corner in corners])
-        kept = np.allclose(np.sort(images[:, :2], axis=0), corners[:, :2], rtol=0, atol=1e-9)
-        if self.config.place_prior is not None:
-            pose = np.array([*self.config.place_prior[:2], heading_deg])
-            kept &= np.allclose(symmetry.pose(pose)[:2], pose[:2], rtol=0, atol=1e-9)
-        return kept and (self.heading_prior_deg is None or images[0, 2] == heading_deg)
-
-    def poses(self) -> np.ndarray:
+    def poses(self) -> NDArray[np.float64]:
         """All true poses, float64 [n, 3]; those of the epoch that was set, in training."""
         return np.array([self.pose(index) for index in range(len(self))]).reshape(-1, 3)
 
@@ -298,16 +258,16 @@ class PoseDataset(Dataset):
     def __len__(self) -> int:
         return len(self.names)
 
-    def __getitem__(self, index: int) -> dict[str, Any] | None:
+    def __getitem__(self, index: int) -> Sample | None:
         training = self.part == "train"
         for step in range(len(self) if training else 1):
             at = (index + step) % len(self)
             try:
                 ground, aerial = self.load(at)
             except SampleError as error:
-                if self.bad_samples is None:
+                if self.bad_sample_log is None:
                     raise
-                self.bad_samples.record(self.names[at], error)
+                self.bad_sample_log.record(self.names[at], error)
                 continue
             return {
                 "ground": ground,
@@ -317,53 +277,46 @@ class PoseDataset(Dataset):
                 "name": self.names[at],
                 "index": at,
             }
-        if training:
+        if training and self.bad_sample_log is not None:
             raise DatasetError(
-                f"none of the {len(self)} samples can be read; see {self.bad_samples.path}"
+                f"none of the {len(self)} samples is readable; see {self.bad_sample_log.path}"
             )
         return None
 
     def _random(self, index: int, purpose: str = "") -> np.random.Generator:
         """Random numbers of one sample for one purpose, in training of one sample in one epoch."""
         epoch = int(self._epoch) + 1 if self.part == "train" else 0
-        return np.random.default_rng(
-            [self.config.seed, epoch, zlib.crc32((self.names[index] + purpose).encode())]
-        )
-
-    def _choose_part(self, count: int) -> np.ndarray:
-        """Which of the training file's `count` samples this part takes: sorted indices."""
-        order = np.random.default_rng(self.config.seed).permutation(count)
-        held_out = round(count * self.config.validation_fraction)
-        return np.sort(order[:held_out] if self.part == "validation" else order[held_out:])
-
-    def _check_not_empty(self) -> None:
-        if not self.names:
-            raise DatasetError(
-                f"the {self.part} part of {self.config.root} holds no sample; check the split, the "
-                f"cities and validation_fraction, which is {self.config.validation_fraction:g}"
-            )
+        key = zlib.crc32((self._keys[index] + purpose).encode())
+        return np.random.default_rng([self.config.seed, epoch, key])
 
 
-def collate(samples: list[dict[str, Any] | None]) -> dict[str, Any] | None:
-    """Stack samples into a batch, leaving out those that could not be read; None if all were."""
+def _distinct(names: list[str]) -> list[str]:
+    """The names, with a number on each that came before."""
+    seen: Counter[str] = Counter()
+    distinct = []
+    for name in names:
+        distinct.append(f"{name}#{seen[name]}" if seen[name] else name)
+        seen[name] += 1
+    return distinct
+
+
+def _keeps(symmetry: Symmetry, config: DataConfig) -> bool:
+    """Whether a symmetry maps the extent and the priors onto themselves."""
+    u0, v0, u1, v1 = config.extent or config.default_extent()
+    heading_deg = config.prior_centre_deg
+    corners = np.array([[u0, v0, heading_deg], [u1, v1, heading_deg]])
+    images = np.array([symmetry.pose(corner) for corner in corners])
+    kept = np.allclose(np.sort(images[:, :2], axis=0), corners[:, :2], rtol=0, atol=1e-9)
+    if config.place_prior is not None:
+        pose = np.array([*config.place_prior[:2], heading_deg])
+        kept &= np.allclose(symmetry.pose(pose)[:2], pose[:2], rtol=0, atol=1e-9)
+    return bool(kept and (config.heading_prior is None or images[0, 2] == heading_deg))
+
+
+def collate(samples: list[Sample | None]) -> Sample | None:
+    """Stack samples into a batch, leaving out unreadable ones; None if all were."""
     read = [sample for sample in samples if sample is not None]
-    return default_collate(read) if read else None
-
-
-def read_lines(path: Path, what: str, hint: str) -> list[str]:
-    """Read the lines of a label file; the last one may lack its newline.
-
-    Raises
-    ------
-    DatasetError
-        If the file is missing, empty or no text; `what` it is and a `hint` go into the text.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: {what} is missing; {hint}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: {what} cannot be read as text ({error})") from error
-    if not text.strip():
-        raise DatasetError(f"{path}: {what} is empty; fetch it anew")
-    return text.rstrip("\n").split("\n")
+    if not read:
+        return None
+    batch: Sample = default_collate(read)
+    return batch

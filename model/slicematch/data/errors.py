@@ -17,12 +17,12 @@ class DataError(SlicemaskError):
 
 
 class DatasetError(DataError, ValueError):
-    """A data tree, a label file or a data setting that cannot be used."""
+    """A data tree, a label file or a data setting that is unusable."""
 
 
 class SampleError(DataError, OSError):
-    """One sample that cannot be used, because a file of it is missing or broken."""
+    """One sample that is unusable, because a file of it is missing or broken."""
 
 
-class ImageError(SampleError):
-    """An image that is missing, corrupt, cut short, too large or of the wrong shape."""
+class LoaderError(DataError, OSError):
+    """Loading that ended because processes, shared memory or open files ran out."""

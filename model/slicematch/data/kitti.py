@@ -5,28 +5,29 @@ split by Shi, Li, "Beyond Cross-view Image Retrieval: Highly Accurate Vehicle Lo
 Satellite Image" (LM), CVPR 2022.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from PIL import Image
 
-from slicematch.data.dataset import BadSamples, DataConfig, PoseDataset, read_lines
-from slicematch.data.errors import DatasetError, ImageError, SampleError
-from slicematch.data.images import check_shape, normalise, read_image, resize
+from slicemask.errors import ImageError
+from slicemask.images import check_aspect, read_aerial, read_image, resize
+from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.source import DataConfig, Part, Source
+from slicematch.data.text import parse_number, read_lines
 
-Test = Literal["test1", "test2"]
+TEST_FILES = {"same-area": "test1_files.txt", "cross-area": "test2_files.txt"}
 
 # Of the aerial tiles: web mercator at zoom 18, double scale, at KITTI's latitude.
-METRES_PER_PIXEL = 156543.03392 * np.cos(np.radians(49.015)) / 2**18 / 2
+METRES_PER_PIXEL = 156543.03392 * math.cos(math.radians(49.015)) / 2**18 / 2
 CROP_PIXELS = 512
 SPAN_M = CROP_PIXELS * METRES_PER_PIXEL
 SHIFT_RANGE_M = 20.0
 # From the GPS unit, at the tile's centre, to the camera: metres ahead and metres to the left.
 CAMERA_OFFSET_M = np.array([1.08, -0.26])
-GROUND_ASPECT = 1242 / 375
 DEFAULT_HFOV_DEG = 81.5
 
 
@@ -34,18 +35,16 @@ DEFAULT_HFOV_DEG = 81.5
 class KittiConfig(DataConfig):
     """Settings of a KITTI data set: those of `DataConfig` and the following.
 
+    The sizes and grids are the paper's (SliceMatch, CVPR 2023, section 4.2). A heading prior is
+    centred on east, where the car drives before the aerial tile is turned: a half width of 10 is
+    what LM calls a 20-degree prior, None turns the tile by up to 180 degrees to either side. The
+    same-area test file is test1, in the training area; cross-area is test2, elsewhere.
+
     Parameters
     ----------
-    ground_size, aerial_size
-        256x1024 and 512 by default, as in the paper.
-    heading_prior_deg
-        Is centred on east, where the car drives before the aerial tile is turned: 10 is what
-        LM calls a 20-degree prior, None turns the tile by up to 180 degrees to either side.
-    test : {"test1", "test2"}
-        The test file: test1 in the training area (same area), test2 elsewhere (cross area).
-    splits : path or None
-        The folder of ``train_files.txt``, ``test1_files.txt`` and ``test2_files.txt``; the root
-        by default.
+    split_dir : path or None
+        The folder of ``train_files.txt``, ``test1_files.txt`` and ``test2_files.txt``; None for
+        the root.
 
     Raises
     ------
@@ -53,19 +52,35 @@ class KittiConfig(DataConfig):
         If a value is out of its range.
     """
 
+    projection = "pinhole"
+    ground_aspect = 1242 / 375
+    prior_centre_deg = 90.0
+    train_grid = "5x5x16"
+    test_grid = "15x15x64"
+
     ground_size: tuple[int, int] = (256, 1024)
-    test: Test = "test1"
-    splits: str | Path | None = None
+    split_dir: str | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.test not in get_args(Test):
-            raise DatasetError(
-                f"test is {self.test!r}; it must be one of {', '.join(get_args(Test))}"
-            )
+    def default_extent(self) -> tuple[float, float, float, float]:
+        """The square in the middle where all cameras stand (ours).
+
+        They stand within 20 m of the centre of a 100.26 m tile, along and across the heading, and
+        are then turned with it. The paper does not say what its grid fills, but 49 % of its
+        lateral errors are below 1 m, and 15 columns over the whole tile would allow at most 30 %.
+        """
+        half_width = self.heading_half_width_deg
+        turn = math.radians(min(45.0, 180.0 if half_width is None else half_width))
+        reach_m = SHIFT_RANGE_M * (math.cos(turn) + math.sin(turn))
+        half = math.ceil(100 * reach_m / SPAN_M) / 100  # a hundredth, for the sake of names
+        low, high = round(0.5 - half, 2), round(0.5 + half, 2)
+        return low, low, high, high
+
+    def open(self, part: Part) -> "KittiSource":
+        """Open the samples of a part; see `DataConfig.open`."""
+        return KittiSource(self, part)
 
 
-def camera_pose(shift: np.ndarray, turn_deg: float) -> np.ndarray:
+def camera_pose(shift: NDArray[np.float64], turn_deg: float) -> NDArray[np.float64]:
     """The camera's pose in a crop cut with a shift and a turn, in closed form.
 
     Parameters
@@ -86,7 +101,9 @@ def camera_pose(shift: np.ndarray, turn_deg: float) -> np.ndarray:
     return np.array([0.5 + right / SPAN_M, 0.5 - up / SPAN_M, heading_deg])
 
 
-def cut_tile(tile: Image.Image, heading: float, shift: np.ndarray, turn_deg: float) -> Image.Image:
+def cut_tile(
+    tile: Image.Image, heading: float, shift: NDArray[np.float64], turn_deg: float
+) -> Image.Image:
     """Cut LM's 512-pixel crop out of an aerial tile, in one affine resampling.
 
     In LM's words: turn the tile so that the car drives east, move the camera to the centre, shift,
@@ -99,8 +116,15 @@ def cut_tile(tile: Image.Image, heading: float, shift: np.ndarray, turn_deg: flo
         Centred on the GPS unit, north up, at `METRES_PER_PIXEL`.
     heading : float
         Radians, 0 east, counter-clockwise.
-    shift, turn_deg
-        As for `camera_pose`.
+    shift : float64 [2]
+        Metres that the camera lies right of and above the crop's centre before the turn.
+    turn_deg : float
+        Degrees counter-clockwise that the crop is turned by, about its centre.
+
+    Returns
+    -------
+    PIL.Image.Image
+        512x512 pixels.
     """
     # East and north of the tile's centre, in metres: q = A p + b for right and up p in the crop.
     turn_back = _rotation(-np.radians(turn_deg))
@@ -120,120 +144,119 @@ def cut_tile(tile: Image.Image, heading: float, shift: np.ndarray, turn_deg: flo
     )
 
 
-def _rotation(angle: float) -> np.ndarray:
+def _rotation(angle: float) -> NDArray[np.float64]:
     """Rotation by an angle in radians, counter-clockwise where the second axis points up."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-class KittiDataset(PoseDataset):
+class KittiSource(Source):
     """KITTI's left colour camera and the aerial crop around it.
 
-    Test samples have the shift and turn of their test file. Training draws them at random, +-20 m
-    along and across the driving direction and +-`heading_prior_deg`; so does validation, once.
+    Test samples have the shift and turn of their test file. Training and validation draw them at
+    random: +-20 m along and across the driving direction and +-`heading_half_width_deg`.
 
     Parameters
     ----------
     config : KittiConfig
+        Settings.
     part : {"train", "validation", "test"}
         Training and validation share the training file (`validation_fraction`).
-    bad_samples : BadSamples, optional
-        Where samples that cannot be read are written down; without it they raise.
 
     Raises
     ------
     DatasetError
-        If a split or calibration file is missing or broken, or no sample remains.
+        If a split or calibration file is missing or broken.
     """
 
-    projection = "pinhole"
-    prior_centre_deg = 90.0
-
-    def __init__(
-        self,
-        config: KittiConfig,
-        part: str = "train",
-        bad_samples: BadSamples | None = None,
-    ):
-        super().__init__(config, part, bad_samples)
+    def __init__(self, config: KittiConfig, part: Part) -> None:
+        self.config = config
         self._root = Path(config.root)
-        name = f"{config.test if part == 'test' else 'train'}_files.txt"
-        paths, draws = read_split(
-            Path(config.splits or config.root) / name, with_pose=part == "test"
-        )
-        chosen = np.arange(len(paths)) if part == "test" else self._choose_part(len(paths))
+        name = TEST_FILES[config.split] if part == "test" else "train_files.txt"
+        folder = Path(config.split_dir or config.root)
+        paths, self._draws = read_split(folder / name, with_pose=part == "test")
+        chosen = config.choose(part, len(paths))
         self.names = [paths[k] for k in chosen]
-        self._draws = draws
         self.tile_metres = np.full(len(chosen), SPAN_M)
         self.hfov_deg = find_hfov_deg(self._root)
-        self._check_not_empty()
 
-    def _pose(self, index: int) -> np.ndarray:
-        return camera_pose(*self._cut(index))
+    def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
+        """The true pose of a sample; see `Source.pose`."""
+        return camera_pose(*self._cut(index, random))
 
-    def _load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
+        """The images of a sample; see `Source.images`."""
         drive, frame = self.names[index].rsplit("/", 1)
         raw = self._root / "raw_data" / drive
         ground_file = raw / "image_02" / "data" / frame
         ground = read_image(ground_file)
-        check_shape(ground, ground_file, GROUND_ASPECT, "a ground image")
+        check_aspect(ground, ground_file, self.config.ground_aspect, "a ground image")
         tile_file = self._root / "satmap" / drive / frame
-        tile = read_image(tile_file)
-        check_shape(tile, tile_file, 1.0, "an aerial tile")
+        tile = read_aerial(tile_file)
         if tile.width < CROP_PIXELS:
             raise ImageError(
                 f"{tile_file}: {tile.width}x{tile.height} pixels; an aerial tile must not be "
                 f"smaller than its crop of {CROP_PIXELS}x{CROP_PIXELS}, so fetch the original"
             )
         heading = read_heading(raw / "oxts" / "data" / Path(frame).with_suffix(".txt"))
-        aerial = cut_tile(tile, heading, *self._cut(index))
-        if self.aerial_size != CROP_PIXELS:
-            aerial = resize(aerial, (self.aerial_size, self.aerial_size))
-        return normalise(resize(ground, self.config.ground_size)), normalise(aerial)
+        aerial = cut_tile(tile, heading, *self._cut(index, random))
+        size = self.config.aerial_size
+        if size != CROP_PIXELS:
+            aerial = resize(aerial, (size, size))
+        return resize(ground, self.config.ground_size), aerial
 
-    def _cut(self, index: int) -> tuple[np.ndarray, float]:
+    def _cut(self, index: int, random: np.random.Generator) -> tuple[NDArray[np.float64], float]:
         """The shift (right and up, metres) and turn (degrees) that a sample is cut with."""
-        if self._draws is None:
-            *shift, turn = self._random(index).uniform(-1, 1, 3)
-        else:
-            *shift, turn = self._draws[index]
-        reach = 180.0 if self.heading_prior_deg is None else self.heading_prior_deg[1]
-        return SHIFT_RANGE_M * np.array(shift), reach * turn
+        *shift, turn = random.uniform(-1, 1, 3) if self._draws is None else self._draws[index]
+        prior = self.config.heading_prior
+        return SHIFT_RANGE_M * np.array(shift), (180.0 if prior is None else prior[1]) * turn
 
 
-def read_split(path: str | Path, with_pose: bool) -> tuple[list[str], np.ndarray | None]:
-    """Read a split file of LM: a path a line and, in test files, sx, sy and theta in [-1, 1].
+def read_split(path: str | Path, with_pose: bool) -> tuple[list[str], NDArray[np.float64] | None]:
+    """Read a split file of LM: a path on each line and, in test files, sx, sy and theta.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    with_pose : bool
+        Whether it is a test file. Its sx, sy and theta lie in [-1, 1].
 
     Returns
     -------
     paths : list of str
-        ``<date>/<drive>/<frame>.png``, n of them.
+        ``<date>/<drive>/<frame>.png``, n of them; the same frame may come several times.
     draws : float64 [n, 3] or None
         sx, sy, theta; None for a file without them.
 
     Raises
     ------
     DatasetError
-        If the file is missing or a line is no such line; the text names file and line.
+        If the file is missing or a line is invalid; the text names the file, line and field.
     """
     path = Path(path)
-    hint = "it comes with HighlyAccurate (LM), not with the images; put it there or set splits"
+    hint = "it comes with HighlyAccurate (LM), not with the images; put it there or set split_dir"
+    form = f"<date>/<drive>/<frame>.png{' sx sy theta, those in [-1, 1]' if with_pose else ''}"
     paths, draws = [], []
-    for number, line in enumerate(read_lines(path, "the split file", hint), start=1):
-        name, *values = line.split()
-        try:
-            draw = [float(value) for value in values]
-        except ValueError:
-            draw = [np.nan]
-        shaped = name.count("/") == 2 and name.endswith(".png")
-        if not (shaped and len(draw) == (3 if with_pose else 0) and np.all(np.abs(draw) <= 1)):
-            expected = " sx sy theta, those in [-1, 1]" if with_pose else ""
+    for number, line in read_lines(path, "the split file", hint):
+        name, *fields = line.split()
+        values = [parse_number(field) for field in fields]
+        fault = None
+        if not (name.count("/") == 2 and name.endswith(".png")):
+            fault = f"field 1 is {name!r}"
+        elif len(values) != (3 if with_pose else 0):
+            fault = f"{len(values)} fields follow the path"
+        else:
+            for place, (field, value) in enumerate(zip(fields, values, strict=True), start=2):
+                if value is None or abs(value) > 1:
+                    fault = f"field {place} is {field!r}"
+                    break
+        if fault:
             raise DatasetError(
-                f"{path}, line {number}: {line[:80]!r} is no sample; expected "
-                f"<date>/<drive>/<frame>.png{expected}"
+                f"{path}, line {number}: is no sample, since {fault}; expected {form}"
             )
         paths.append(name)
-        draws.append(draw)
-    return paths, np.array(draws) if with_pose else None
+        draws.append(values)
+    return paths, np.array(draws, dtype=np.float64) if with_pose else None
 
 
 def read_heading(path: str | Path) -> float:
@@ -245,14 +268,17 @@ def read_heading(path: str | Path) -> float:
         If the oxts file is missing or its first line has no finite field 5.
     """
     try:
-        heading = float(Path(path).read_text(encoding="utf-8").split("\n")[0].split()[5])
-    except (OSError, ValueError, IndexError) as error:
+        _, line = read_lines(Path(path), "the oxts file", "fetch it anew")[0]
+    except DatasetError as error:  # it is one sample that lacks it
+        raise SampleError(str(error)) from error
+    fields = line.split()
+    heading = parse_number(fields[5]) if len(fields) > 5 else None
+    if heading is None:
+        found = repr(fields[5]) if len(fields) > 5 else f"missing: there are {len(fields)} fields"
         raise SampleError(
-            f"{path}: cannot be read as an oxts file, whose field 5 is the heading ({error}); "
-            "fetch it anew"
-        ) from error
-    if not np.isfinite(heading):
-        raise SampleError(f"{path}: the heading is {heading}; it must be finite, fetch it anew")
+            f"{path}: field 5 (from 0), the heading in radians, is {found}; expected a number: "
+            "fetch the file anew"
+        )
     return heading
 
 
@@ -283,14 +309,20 @@ def read_hfov_deg(path: str | Path) -> float:
         If there is no such number or the result is no field of view.
     """
     lines = read_lines(Path(path), "the calibration file", "fetch it anew")
-    rows = {key.strip(): values.split() for key, _, values in (x.partition(":") for x in lines)}
-    try:
-        focal = float(rows["P_rect_02"][0])
-        width = float(rows["S_rect_02"][0]) if "S_rect_02" in rows else 1242.0
-    except (KeyError, IndexError, ValueError) as error:
-        raise DatasetError(
-            f"{path}: no focal length; expected a line 'P_rect_02: ' and twelve numbers"
-        ) from error
+    parts = (line.partition(":") for _, line in lines)
+    rows = {key.strip(): rest.split() for key, _, rest in parts}
+
+    def first(key: str) -> float:
+        value = parse_number(rows[key][0]) if rows.get(key) else None
+        if value is None:
+            raise DatasetError(
+                f"{path}: {key} is {' '.join(rows.get(key, [])) or 'missing'!r}, so there is no "
+                "focal length; expected a line 'P_rect_02: ' and twelve numbers"
+            )
+        return value
+
+    focal = first("P_rect_02")
+    width = first("S_rect_02") if "S_rect_02" in rows else 1242.0
     hfov_deg = float(np.degrees(2 * np.arctan2(width / 2, focal)))
     if not 0 < hfov_deg < 180:
         raise DatasetError(

@@ -6,17 +6,17 @@ labels corrected by Lentsch et al., "SliceMatch", CVPR 2023.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
+from PIL import Image
 
-from slicematch.data.dataset import BadSamples, DataConfig, PoseDataset, read_lines
+from slicemask.images import read_aerial, resize
 from slicematch.data.errors import DatasetError
-from slicematch.data.images import check_shape, normalise, read_image, resize, turn_panorama
-
-Split = Literal["same-area", "cross-area"]
-Labels = Literal["corrected", "original"]
+from slicematch.data.panoramas import read_panorama, turn_panorama
+from slicematch.data.source import DataConfig, Part, Source
+from slicematch.data.text import parse_number, read_lines
 
 CITIES = ("NewYork", "Seattle", "SanFrancisco", "Chicago")
 CROSS_AREA = {"train": ("NewYork", "Seattle"), "test": ("SanFrancisco", "Chicago")}
@@ -35,19 +35,17 @@ PANORAMA_COLUMNS = 2048
 class VigorConfig(DataConfig):
     """Settings of a VIGOR data set: those of `DataConfig` and the following.
 
+    The defaults are the paper's (SliceMatch, CVPR 2023, section 4.2). A heading prior is centred on
+    north. Same-area trains and tests in every city, cross-area trains in NewYork and Seattle and
+    tests in SanFrancisco and Chicago.
+
     Parameters
     ----------
-    ground_size, aerial_size
-        320x640 and 512 by default, as in the paper.
-    heading_prior_deg
-        Is centred on north.
-    split : {"same-area", "cross-area"}
-        Train and test in every city, or train on NewYork and Seattle and test on SanFrancisco and
-        Chicago.
-    labels : {"corrected", "original"}
-        The corrected labels, or the originals, which are up to 3 m wrong.
+    labels : str
+        "corrected" for SliceMatch's labels, "original" for VIGOR's own, which are up to 3 m wrong,
+        or a folder of either that holds one folder for each city.
     cities : tuple of str or None
-        Only these of the split's cities; all by default.
+        Only these of the split's cities; None for all.
 
     Raises
     ------
@@ -55,23 +53,28 @@ class VigorConfig(DataConfig):
         If a value is out of its range.
     """
 
+    projection = "equirectangular"
+    hfov_deg = 360.0
+    ground_aspect = 2.0
+    prior_centre_deg = 0.0
+    train_grid = "7x7x16"
+    test_grid = "21x21x64"
+
     ground_size: tuple[int, int] = (320, 640)
-    split: Split = "same-area"
-    labels: Labels = "corrected"
+    labels: str = "corrected"
     cities: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, choices in (("split", get_args(Split)), ("labels", get_args(Labels))):
-            if getattr(self, name) not in choices:
-                raise DatasetError(
-                    f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(choices)}"
-                )
         if self.cities is not None:
             object.__setattr__(self, "cities", tuple(self.cities))
             for city in self.cities:
                 if city not in CITIES:
                     raise DatasetError(f"city is {city!r}; it must be one of {', '.join(CITIES)}")
+
+    def open(self, part: Part) -> "VigorSource":
+        """Open the samples of a part; see `DataConfig.open`."""
+        return VigorSource(self, part)
 
 
 class VigorLabels(NamedTuple):
@@ -85,41 +88,49 @@ class VigorLabels(NamedTuple):
 def read_labels(path: str | Path) -> VigorLabels:
     """Read the positive of each line of a VIGOR label file.
 
-    A line has 13 fields parted by single spaces: a panorama's name and four times an aerial
+    A line has 13 fields separated by single spaces: a panorama's name and four times an aerial
     tile's name, d0 and d1, in pixels of the 640-pixel tile. The first tile is the positive.
 
     Raises
     ------
     DatasetError
-        If the file is missing or a line is no such line; the text names file and line.
+        If the file is missing or a line is invalid; the text names the file, line and field.
     """
     path = Path(path)
     panoramas, aerials, offsets = [], [], []
-    for number, line in enumerate(read_lines(path, "the label file", _hint(path)), start=1):
-        fields = line.split(" ")
-        try:
-            panorama, aerial, *offset = fields[:4]
-            d0, d1 = map(float, offset)
-            whole = len(fields) == 13 and np.isfinite([d0, d1]).all()
-        except ValueError:
-            whole = False
-        if not whole:
+    for number, line in read_lines(path, "the label file", _hint(path)):
+        fields = line.removesuffix("\r").split(" ")
+        if len(fields) != 13:
             raise DatasetError(
-                f"{path}, line {number}: {line[:80]!r} is no label; expected 13 fields parted by "
-                "single spaces, a panorama and four times an aerial tile, d0 and d1"
+                f"{path}, line {number}: is no label, since it has {len(fields)} fields; expected "
+                "13, separated by single spaces: a panorama and four times an aerial tile, d0, d1"
             )
-        panoramas.append(panorama)
-        aerials.append(aerial)
-        offsets.append((d0, d1))
+        for place, name in enumerate(_FIELDS):
+            if name in ("d0", "d1"):
+                fault = parse_number(fields[place]) is None and "a number of pixels"
+            else:
+                fault = not fields[place].strip("\"'\t") and "a file's name"
+                fault = fault or (any(c in fields[place] for c in '"\t') and "a bare file name")
+            if fault:
+                raise DatasetError(
+                    f"{path}, line {number}: is no label, since field {place + 1} ({name}) is "
+                    f"{fields[place]!r}; expected {fault}"
+                )
+        panoramas.append(fields[0])
+        aerials.append(fields[1])
+        offsets.append((float(fields[2]), float(fields[3])))
     return VigorLabels(panoramas, aerials, np.array(offsets))
+
+
+_FIELDS = ("panorama", *("aerial tile", "d0", "d1") * 4)
 
 
 def _hint(path: Path) -> str:
     """Say how to come by a label file that is missing."""
-    there = [city for city in METRES_PER_PIXEL if (path.parent.parent / city).is_dir()]
+    available = [city for city in CITIES if (path.parent.parent / city).is_dir()]
     other = (
-        f"name only cities that are there (--cities {','.join(there)})"
-        if there
+        f"name only cities that are there (--cities {','.join(available)})"
+        if available
         else "check the root"
     )
     if path.parent.parent.name == "splits__corrected":
@@ -130,47 +141,39 @@ def _hint(path: Path) -> str:
     return other
 
 
-class VigorDataset(PoseDataset):
+class VigorSource(Source):
     """VIGOR's positive pairs: a panorama and the tile that it was taken in, north up.
 
-    The panorama faces the sample's heading: where the heading is not known, one is drawn, on whole
+    The panorama faces the sample's heading: where the heading is unknown, one is drawn, on whole
     columns of a 2048-column panorama, and the panorama is rolled left by as much.
 
     Parameters
     ----------
     config : VigorConfig
+        Settings.
     part : {"train", "validation", "test"}
         Training and validation share the training file (`validation_fraction`).
-    bad_samples : BadSamples, optional
-        Where samples that cannot be read are written down; without it they raise.
 
     Attributes
     ----------
     left_out : int
-        Labels that were left out because |d0| or |d1| exceeds 320: the camera is off the tile.
+        Labels that were left out because abs(d0) or abs(d1) exceeds 320: the camera is off the
+        tile.
 
     Raises
     ------
     DatasetError
-        If a label file is missing or broken, or no sample remains.
+        If a label file is missing or broken.
     """
 
-    projection = "equirectangular"
     hfov_deg = 360.0
-    prior_centre_deg = 0.0
 
-    def __init__(
-        self,
-        config: VigorConfig,
-        part: str = "train",
-        bad_samples: BadSamples | None = None,
-    ):
-        super().__init__(config, part, bad_samples)
+    def __init__(self, config: VigorConfig, part: Part) -> None:
+        self.config = config
         root = Path(config.root)
-        self.left_out = 0
         pairs, places, metres = [], [], []
-        for city in self._cities():
-            labels = read_labels(self._label_file(city))
+        for city in _cities(config, part):
+            labels = read_labels(_label_file(config, part, city))
             for panorama, aerial, (d0, d1) in zip(*labels, strict=True):
                 if max(abs(d0), abs(d1)) > TILE_PIXELS / 2:
                     self.left_out += 1
@@ -179,7 +182,7 @@ class VigorDataset(PoseDataset):
                 # d0 counts down (south), d1 counts left (west), both from the tile's centre.
                 places.append((0.5 - d1 / TILE_PIXELS, 0.5 + d0 / TILE_PIXELS))
                 metres.append(METRES_PER_PIXEL[city] * TILE_PIXELS)
-        chosen = np.arange(len(pairs)) if part == "test" else self._choose_part(len(pairs))
+        chosen = config.choose(part, len(pairs))
         self._files = [
             (root / city / "panorama" / panorama, root / city / "satellite" / aerial)
             for city, panorama, aerial in (pairs[k] for k in chosen)
@@ -187,43 +190,66 @@ class VigorDataset(PoseDataset):
         self.names = ["{}/{}".format(*pairs[k]) for k in chosen]
         self._places = np.array(places).reshape(-1, 2)[chosen]
         self.tile_metres = np.array(metres)[chosen]
-        self._check_not_empty()
 
-    def _pose(self, index: int) -> np.ndarray:
-        return np.array([*self._places[index], self._heading_deg(index)])
+    def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
+        """The true pose of a sample; see `Source.pose`."""
+        return np.array([*self._places[index], self._heading_deg(random)])
 
-    def _load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
+        """The images of a sample; see `Source.images`."""
         panorama_file, aerial_file = self._files[index]
-        panorama = read_image(panorama_file)
-        check_shape(panorama, panorama_file, 2.0, "a panorama")
-        aerial = read_image(aerial_file)
-        check_shape(aerial, aerial_file, 1.0, "an aerial tile")
-        ground = turn_panorama(panorama, self._heading_deg(index), self.config.ground_size)
-        return normalise(ground), normalise(resize(aerial, (self.aerial_size, self.aerial_size)))
+        panorama = read_panorama(panorama_file)
+        aerial = read_aerial(aerial_file)
+        # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
+        turn_deg = self._heading_deg(random) - (panorama.heading_deg or 0.0)
+        ground = turn_panorama(panorama.image, turn_deg, self.config.ground_size)
+        return ground, resize(aerial, (self.config.aerial_size, self.config.aerial_size))
 
-    def _heading_deg(self, index: int) -> float:
-        if self.heading_prior_deg is None:
-            column = self._random(index).integers(PANORAMA_COLUMNS)
+    def _heading_deg(self, random: np.random.Generator) -> float:
+        prior = self.config.heading_prior
+        if prior is None:
+            column = random.integers(PANORAMA_COLUMNS)
         else:
-            reach = int(self.heading_prior_deg[1] * PANORAMA_COLUMNS / 360)
-            column = self._random(index).integers(-reach, reach + 1) % PANORAMA_COLUMNS
-        return column * 360.0 / PANORAMA_COLUMNS
+            reach = int(prior[1] * PANORAMA_COLUMNS / 360)
+            column = random.integers(-reach, reach + 1) % PANORAMA_COLUMNS
+        return float(column * 360.0 / PANORAMA_COLUMNS)
 
-    def _cities(self) -> list[str]:
-        cities = CITIES
-        if self.config.split == "cross-area":
-            cities = CROSS_AREA["test" if self.part == "test" else "train"]
-        chosen = [city for city in cities if city in (self.config.cities or CITIES)]
-        if not chosen:
-            raise DatasetError(
-                f"cities is {', '.join(self.config.cities)}; the {self.part} part of the "
-                f"{self.config.split} split has {', '.join(cities)}"
-            )
-        return chosen
 
-    def _label_file(self, city: str) -> Path:
-        name = "pano_label_balanced"
-        if self.config.split == "same-area":
-            name = f"same_area_balanced_{'test' if self.part == 'test' else 'train'}"
-        suffix = "__corrected" if self.config.labels == "corrected" else ""
-        return Path(self.config.root) / f"splits{suffix}" / city / f"{name}{suffix}.txt"
+def _cities(config: VigorConfig, part: Part) -> list[str]:
+    cities: tuple[str, ...] = CITIES
+    if config.split == "cross-area":
+        cities = CROSS_AREA["test" if part == "test" else "train"]
+    chosen = [city for city in cities if city in (config.cities or CITIES)]
+    if not chosen:
+        raise DatasetError(
+            f"cities is {', '.join(config.cities or ())}; the {part} part of the "
+            f"{config.split} split has {', '.join(cities)}"
+        )
+    return chosen
+
+
+def _label_file(config: VigorConfig, part: Part, city: str) -> Path:
+    name = "pano_label_balanced"
+    if config.split == "same-area":
+        name = f"same_area_balanced_{'test' if part == 'test' else 'train'}"
+    folder = _label_folder(config) / city
+    corrected = folder / f"{name}__corrected.txt"
+    if config.labels == "corrected":
+        return corrected
+    original = folder / f"{name}.txt"
+    # A folder that was named may hold either; the suffix is what tells the two apart.
+    return corrected if config.labels != "original" and corrected.is_file() else original
+
+
+def _label_folder(config: VigorConfig) -> Path:
+    root = Path(config.root)
+    known = {"corrected": root / "splits__corrected", "original": root / "splits"}
+    if config.labels in known:
+        return known[config.labels]
+    for folder in (Path(config.labels), root / config.labels):
+        if folder.is_dir():
+            return folder
+    raise DatasetError(
+        f"labels is {config.labels!r}; it must be corrected, original, or a folder that is there "
+        f"or in {root}"
+    )

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, Subset
+from torch.utils.data import Subset
 
 from slicemask.files import write_text
-from slicematch.data import BadSamples, collate
+from slicematch.data.dataset import BadSampleLog, collate
+from slicematch.data.loading import PoseLoader
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.evaluate import spread
 from slicematch.evaluation.metrics import nearest_candidates
@@ -81,7 +82,7 @@ def calibrate(
     candidates = localizer.within()
     most = min(MOST_SAMPLES, max(1, MOST_SCORES // len(candidates.poses)))
     chosen = spread(len(dataset), most)
-    loader = DataLoader(
+    loader = PoseLoader(
         Subset(dataset, chosen),
         config.batch_size,
         num_workers=workers,
@@ -91,7 +92,8 @@ def calibrate(
     truths = np.empty(len(chosen), dtype=np.int64)
     read = 0
     with tempfile.TemporaryDirectory() as scratch:
-        dataset.bad_samples = BadSamples(Path(scratch, "bad_samples.jsonl"), config.bad_samples)
+        log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), config.max_bad_samples)
+        dataset.bad_sample_log = log
         for batch in loader:
             if batch is not None:
                 images = (batch[kind].to(localizer.device) for kind in ("ground", "aerial"))

@@ -14,11 +14,13 @@ import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader, Subset
+from torch.utils.data import Subset
 
 from slicemask.files import check_folder, write_text
 from slicemask.plot import save_figure
-from slicematch.data import BadSamples, PoseDataset, collate, denormalise
+from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
+from slicematch.data.images import denormalise
+from slicematch.data.loading import PoseLoader
 from slicematch.devices import Precision, precision_note
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.drawing import draw_errors, draw_estimate
@@ -56,7 +58,7 @@ class Evaluation:
         What the estimates' probabilities are worth.
     outside : int
         True places outside the grid's extent, where no candidate can find them.
-    bad_samples : dict
+    unreadable : dict
         Samples that could not be read, with what is wrong.
     """
 
@@ -70,14 +72,14 @@ class Evaluation:
     floor: Floor
     calibration: Calibration
     outside: int
-    bad_samples: dict[str, str]
+    unreadable: dict[str, str]
 
     def summary(self) -> dict[str, Any]:
         """Settings and figures, without the samples."""
         return {
             **self.settings,
             "samples": len(self.names),
-            "bad_samples": self.bad_samples,
+            "unreadable": self.unreadable,
             "labels_outside_the_grid": self.outside,
             "errors": self.errors.summary(),
             "floor": self.floor.summary(),
@@ -114,8 +116,8 @@ class Evaluation:
         ]
         if self.outside:
             lines.append(f"{self.outside:,} true places lie outside the grid's extent")
-        if self.bad_samples:
-            lines.append(f"{len(self.bad_samples)} samples could not be read")
+        if self.unreadable:
+            lines.append(f"{len(self.unreadable)} samples could not be read")
         return "\n".join(lines)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -250,9 +252,10 @@ def evaluate(
         "grid": str(localizer.grid),
         "extent": localizer.grid.extent,
         "places": localizer.grid.places,
-        "heading_prior_deg": config.heading_prior(),
+        "heading_prior": config.heading_prior(),
         "place_prior": config.place_prior,
         "seed": config.seed,
+        "labels_left_out": dataset.left_out,
         "refine": refine,
         "precision": precision,
         "temperature": localizer.temperature,
@@ -261,7 +264,7 @@ def evaluate(
     workers = config.workers if workers is None else workers
     with tempfile.TemporaryDirectory() as scratch:
         # Those met in worker processes too; `_measure` sees to the limit.
-        dataset.bad_samples = BadSamples(Path(scratch, "bad_samples.jsonl"), len(dataset))
+        dataset.bad_sample_log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(dataset))
         evaluation = _measure(settings, localizer, chosen, workers, progress)
         figures = _draw(evaluation, localizer, dataset)
     _write(evaluation, figures, folder)
@@ -289,7 +292,7 @@ def _measure(
         If none can be read, or more cannot than the run's settings bear.
     """
     dataset = chosen.dataset
-    loader = DataLoader(
+    loader = PoseLoader(
         chosen, localizer.config.batch_size, num_workers=workers, collate_fn=collate
     )
     read: list[int] = []
@@ -303,16 +306,16 @@ def _measure(
             estimates += map(_keep, found, truths)
         if progress is not None:
             progress(min(number * localizer.config.batch_size, len(chosen)), len(chosen))
-        bad_samples = dataset.bad_samples.entries()
-        if len(bad_samples) > localizer.config.bad_samples:
+        unreadable = dataset.bad_sample_log.entries()
+        if len(unreadable) > localizer.config.max_bad_samples:
             raise RunError(
-                f"more than {localizer.config.bad_samples} samples cannot be read; mend them, or "
-                f"name the data's root; first: {next(iter(bad_samples.values()))}"
+                f"more than {localizer.config.max_bad_samples} samples are unreadable; mend them, "
+                f"or name the data's root; first: {next(iter(unreadable.values()))}"
             )
     if not read:
         raise RunError(
             f"none of the {len(chosen)} samples can be read; mend them, or name the data's root; "
-            f"first: {next(iter(bad_samples.values()))}"
+            f"first: {next(iter(unreadable.values()))}"
         )
     poses = np.array([kept.pose for kept in estimates])
     truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
@@ -332,7 +335,7 @@ def _measure(
             region_share=np.array([kept.region_share for kept in estimates]),
         ),
         outside=dataset.count_outside(localizer.grid.extent, read),
-        bad_samples=bad_samples,
+        unreadable=unreadable,
     )
 
 
@@ -371,14 +374,14 @@ def _write(evaluation: Evaluation, figures: dict[str, Figure], folder: Path) -> 
     writer = csv.DictWriter(table, list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
-    bad_samples = (
+    unreadable = (
         json.dumps({"name": name, "error": error}) + "\n"
-        for name, error in evaluation.bad_samples.items()
+        for name, error in evaluation.unreadable.items()
     )
     content = {**evaluation.summary(), "per_sample": rows}
     for name, text in (
         ("samples.csv", table.getvalue()),
-        ("bad_samples.jsonl", "".join(bad_samples)),
+        ("bad_samples.jsonl", "".join(unreadable)),
         ("result.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
     ):
         write_text(folder / name, text, RunError)
@@ -397,13 +400,13 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) ->
         (estimate,) = _estimates(localizer, sample["ground"][None], sample["aerial"][None], metres)
         place_m, heading_deg = evaluation.errors.place_m[n], evaluation.errors.heading_deg[n]
         figures[case] = draw_estimate(
-            denormalise(sample["aerial"]),
+            denormalise(sample["aerial"], *localizer.config.normalisation()),
             estimate.heat_map,
             localizer.grid,
             evaluation.estimates[n],
             localizer.frustum,
             truth=evaluation.truths[n],
-            ground=denormalise(sample["ground"]),
+            ground=denormalise(sample["ground"], *localizer.config.normalisation()),
             title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
         )
     return figures

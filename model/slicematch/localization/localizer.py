@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
-from slicematch.data import normalise, read_image
-from slicematch.data.images import check_shape, resize, turn_panorama
-from slicematch.data.kitti import GROUND_ASPECT
+from slicemask.images import Picture, check_aspect, name_of, read_aerial, read_image, resize
+from slicematch.data.images import normalise
+from slicematch.data.panoramas import read_panorama, turn_panorama
 from slicematch.devices import Precision, choose_device
 from slicematch.errors import ConfigError
 from slicematch.localization.probabilities import (
@@ -42,7 +41,6 @@ from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates
 
-Picture = str | Path | Image.Image | NDArray[np.uint8]
 # Tiles whose features are kept; those of VGG16 take 2 MB each.
 _TILES_KEPT = 8
 # Metres per pixel: beyond these no picture is one of a camera's surroundings.
@@ -367,11 +365,12 @@ class Localizer:
         ImageError
             If the image cannot be read or is not square.
         """
-        image = _picture(aerial, 1.0, "an aerial tile")
+        image = read_aerial(aerial)
         key = hashlib.sha256(repr(image.size).encode() + image.tobytes()).digest()
         if key not in self._tiles:
             size = self.config.aerial_size
-            images = normalise(resize(image, (size, size)))[None].to(self.device)
+            images = normalise(resize(image, (size, size)), *self.config.normalisation())
+            images = images[None].to(self.device)
             with torch.no_grad():
                 features = self.model.encode_aerial(images)
             self._tiles[key] = AerialTile(features, image.width)
@@ -384,7 +383,7 @@ class Localizer:
         self,
         ground: Picture,
         aerial: Picture | AerialTile,
-        heading_prior_deg: tuple[float, float] | None = None,
+        heading_prior: tuple[float, float] | None = None,
         place_prior: tuple[float, float, float] | None = None,
         *,
         refine: Refine | None = None,
@@ -399,7 +398,7 @@ class Localizer:
             its centre column.
         aerial : path, PIL image, uint8 [A, A, 3], or what `encode_aerial` gives
             The tile.
-        heading_prior_deg : (centre, half_width), optional
+        heading_prior : (centre, half_width), optional
             Only headings within half_width degrees of the centre. By default the prior that the
             run was trained with, if any; (0, 180) allows every heading.
         place_prior : (u, v, radius), optional
@@ -427,7 +426,7 @@ class Localizer:
             tile.features,
             [tile.pixels],
             tile_metres,
-            heading_prior_deg,
+            heading_prior,
             place_prior,
             refine,
         )
@@ -439,7 +438,7 @@ class Localizer:
         aerial: torch.Tensor,
         tile_pixels: Sequence[int],
         tile_metres: Sequence[float] | None = None,
-        heading_prior_deg: tuple[float, float] | None = None,
+        heading_prior: tuple[float, float] | None = None,
         place_prior: tuple[float, float, float] | None = None,
         refine: Refine | None = None,
     ) -> list[Estimate]:
@@ -455,12 +454,12 @@ class Localizer:
             Side of each tile as it was handed in.
         tile_metres : float [B], optional
             Side of each tile on the ground.
-        heading_prior_deg, place_prior, refine
+        heading_prior, place_prior, refine
             As in `localize`.
         """
         refine = check_refine(refine or self.refine)
-        candidates = self.within(heading_prior_deg, place_prior)
-        domain = Domain(self.grid.extent, *self._priors(heading_prior_deg, place_prior))
+        candidates = self.within(heading_prior, place_prior)
+        domain = Domain(self.grid.extent, *self._priors(heading_prior, place_prior))
         with torch.no_grad():
             attention = self.model.attend(aerial, ground)
             scored = score_candidates(ground, aerial, attention, candidates)
@@ -489,30 +488,33 @@ class Localizer:
 
     def within(
         self,
-        heading_prior_deg: tuple[float, float] | None = None,
+        heading_prior: tuple[float, float] | None = None,
         place_prior: tuple[float, float, float] | None = None,
     ) -> Candidates:
         """The candidates that agree with the priors given, or else with the run's own."""
-        return self.candidates.within(*self._priors(heading_prior_deg, place_prior))
+        return self.candidates.within(*self._priors(heading_prior, place_prior))
 
     def _priors(
         self,
-        heading_prior_deg: tuple[float, float] | None,
+        heading_prior: tuple[float, float] | None,
         place_prior: tuple[float, float, float] | None,
     ) -> tuple[tuple[float, float] | None, tuple[float, float, float] | None]:
         """The priors given, or else the run's own."""
         return (
-            heading_prior_deg or self.config.heading_prior(),
+            heading_prior or self.config.heading_prior(),
             place_prior or self.config.place_prior,
         )
 
     def _ground(self, ground: Picture) -> torch.Tensor:
         size = self.config.ground_size
         if self.frustum.projection == "equirectangular":
-            image = turn_panorama(_picture(ground, 2.0, "a panorama"), 0.0, size)
+            image = turn_panorama(read_panorama(ground).image, 0.0, size)
         else:
-            image = resize(_picture(ground, GROUND_ASPECT, "a ground image"), size)
-        return normalise(image)[None].to(self.device)
+            image = read_image(ground)
+            if self.config.ground_aspect is not None:
+                check_aspect(image, name_of(ground), self.config.ground_aspect, "a ground image")
+            image = resize(image, size)
+        return normalise(image, *self.config.normalisation())[None].to(self.device)
 
 
 def load_candidates(path: str | Path, frustum: Frustum, cells: int) -> tuple[Candidates, PoseGrid]:
@@ -536,21 +538,3 @@ def load_candidates(path: str | Path, frustum: Frustum, cells: int) -> tuple[Can
         if spec.grid is None:
             raise ConfigError(f"{path}: holds a list of poses; a heat map needs the bank of a grid")
         return Candidates.from_bank(bank), spec.grid
-
-
-def _picture(source: Any, aspect: float, kind: str) -> Image.Image:
-    """An RGB image of the right proportions from whatever was handed in."""
-    if isinstance(source, str | Path):
-        image, name = read_image(source), source
-    elif isinstance(source, Image.Image):
-        image, name = source.convert("RGB"), "the image"
-    else:
-        array = np.asarray(source)
-        if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
-            raise ConfigError(
-                f"{kind} is an array {array.dtype} {list(array.shape)}; it must be uint8 "
-                "[height, width, 3], a PIL image or a path"
-            )
-        image, name = Image.fromarray(array), "the image"
-    check_shape(image, name, aspect, kind)
-    return image

@@ -55,14 +55,14 @@ class Domain:
     ----------
     extent : (u0, v0, u1, v1)
         Places, in the aerial frame.
-    heading_prior_deg : (centre, half_width) or None
+    heading_prior : (centre, half_width) or None
         Only headings within half_width of the centre; None for any.
     place_prior : (u, v, radius) or None
         Only places within the radius of (u, v).
     """
 
     extent: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
-    heading_prior_deg: tuple[float, float] | None = None
+    heading_prior: tuple[float, float] | None = None
     place_prior: tuple[float, float, float] | None = None
 
     def project(self, poses: Tensor) -> Tensor:
@@ -84,8 +84,8 @@ class Domain:
             beyond = offset.square().sum() - radius**2
             root = (along.square() - square * beyond).clamp_min(1e-60).sqrt()
             places = nearest + away * ((root - along) / square).clamp(0.0, 1.0)
-        if self.heading_prior_deg is not None:
-            centre_deg, half_width = self.heading_prior_deg
+        if self.heading_prior is not None:
+            centre_deg, half_width = self.heading_prior
             turn = turn_deg(headings, centre_deg)
             headings = centre_deg + turn.clamp(-half_width, half_width)
         headings = torch.remainder(headings, 360.0)

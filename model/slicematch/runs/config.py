@@ -1,35 +1,40 @@
 """What a training run is made of: one frozen set of settings, kept as YAML in its run folder."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
-
-import yaml
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from slicemask import Frustum, PoseGrid
 from slicemask.files import write_text
-from slicematch.data import KittiConfig, KittiDataset, PoseDataset, VigorConfig, VigorDataset
-from slicematch.data.dataset import BadSamples
-from slicematch.data.kitti import SHIFT_RANGE_M, SPAN_M
-from slicematch.devices import Precision
+from slicemask.geometry.frustum import Projection
+from slicematch.data import DATA_SETS, config_class
+from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, DataConfig, Split, Triple
 from slicematch.errors import ConfigError
+from slicematch.precision import Precision
 from slicematch.runs.settings import convert, read_settings
 
-# The paper's settings where they depend on the data (SliceMatch, CVPR 2023, section 4.2).
-_PAPER: dict[str, dict[str, Any]] = {
-    "vigor": {
-        "ground_size": (320, 640),
-        "train_grid": "7x7x16",
-        "test_grid": "21x21x64",
-    },
-    "kitti": {
-        "ground_size": (256, 1024),
-        "train_grid": "5x5x16",
-        "test_grid": "15x15x64",
-    },
+if TYPE_CHECKING:
+    from slicematch.data.dataset import BadSampleLog, PoseDataset
+
+# Taken from the data set where they are not given, and then kept: a run folder needs no loader.
+_FROM_DATA = (
+    "ground_size",
+    "extent",
+    "train_grid",
+    "test_grid",
+    "projection",
+    "prior_centre_deg",
+    "ground_aspect",
+)
+# Names of version 0.1, whose run folders and files of settings are read for ever.
+_OLD_NAMES = {
+    "heading_prior_deg": "heading_half_width_deg",
+    "bad_samples": "max_bad_samples",
+    "splits": "split_dir",
 }
+# No option of a command: either kept for the run folder alone, or found by other means.
+_KEPT = {"option": None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,48 +43,50 @@ class TrainConfig:
 
     Parameters
     ----------
-    data : {"vigor", "kitti"}
-        The data set's format.
+    data : str
+        The data set, by its name in `slicematch.data`.
     root : str
         The folder of the data tree.
     split : {"same-area", "cross-area"}
         Where the test part lies; for VIGOR also which cities train.
-    labels : {"corrected", "original"}
-        VIGOR's labels.
-    cities : tuple of str or None
-        Only these of VIGOR's cities; None for all of the split.
-    splits : str or None
-        The folder of KITTI's split files; None for the root.
-    heading_prior_deg : float or None
-        How far headings lie from the data set's own (VIGOR: north, KITTI: the tile's east), to
-        either side: 0 for a known heading ("aligned"), None for any. Candidates outside are left
-        out, in training and testing.
+    data_settings : mapping
+        The data set's own settings by name, such as ``{"cities": ["Chicago"]}``: those of
+        `config_class(data)`. `from_dict` and YAML files also take them beside the others.
+    heading_half_width_deg : float or None
+        How far headings lie from the data set's own (VIGOR: north, KITTI: the tile's east), in
+        degrees to either side: 0 for a known heading ("aligned"), None for any. Candidates outside
+        are left out, in training and testing.
     place_prior : (u, v, radius) or None
-        Leave out the candidates farther than the radius from (u, v), in the aerial frame.
+        Leave out the candidates farther than the radius from (u, v), in the aerial frame; None for
+        no prior.
     extent : (u0, v0, u1, v1) or None
-        The part of the tile that the grids fill; None for the whole tile with VIGOR and, with
+        The part of the tile that the grids fill; None for the data set's: the whole tile, or, with
         KITTI, the square in the middle where all cameras stand (ours).
-    train_grid, test_grid : str or None
-        Candidate poses, ROWSxCOLUMNSxHEADINGS; None for the paper's: VIGOR 7x7x16 and 21x21x64,
-        KITTI 5x5x16 and 15x15x64.
+    train_grid : str or None
+        Candidate poses in training, ROWSxCOLUMNSxHEADINGS; None for the paper's.
+    test_grid : str or None
+        Candidate poses in testing, ROWSxCOLUMNSxHEADINGS; None for the paper's.
     hfov_deg : float or None
-        Horizontal field of view of the ground images; None for the data set's. VIGOR's is 360.
+        Horizontal field of view of the ground images, in degrees; None for the data set's.
     encoder : str
         timm backbone.
     weights : str
         What both encoders start from: "imagenet", "none", or a file.
     stride : int
-        Stride of the feature maps.
+        Stride of the feature maps, in pixels.
     ground_size : (height, width) or None
-        Pixels of the ground images; None for the paper's: 320x640 for VIGOR, 256x1024 for KITTI.
+        Pixels of the ground images; None for the paper's.
     aerial_size : int
         Pixels along each side of the aerial images.
+    image_mean, image_std : (red, green, blue) or None
+        Taken out of the images, whose values are in [0, 1]; None until training fills in those
+        that the encoder's weights were trained with.
     slices : int
-        N.
+        N, the slices of a ground image.
     cross_view_attention : bool
         Whether the aerial attention sees the ground descriptors.
     alpha : float or None
-        Weight of the candidates in the loss; None for K, plain infoNCE.
+        Weight of the candidates in the loss; K for as many as there are, plain infoNCE.
     tau : float
         Temperature of the loss.
     grid_jitter : bool
@@ -102,10 +109,10 @@ class TrainConfig:
         Share of the training file that is kept from training and chooses the best checkpoint
         (ours: 0.1); with 0 the training loss does.
     augment : bool
-        Turn, mirror and recolour training samples: see `PoseDataset` (ours).
+        Rotate, mirror and recolour training samples (ours).
     heat_map_every : int
         Epochs from one example heat map to the next; 0 draws none (ours: 1).
-    bad_samples : int
+    max_bad_samples : int
         How many different samples may be unreadable before the run stops (ours: 10).
     seed : int
         Of weights, order, headings and shifts; below 2**32.
@@ -117,6 +124,12 @@ class TrainConfig:
         As Lightning names them: "cpu", "cuda", ...; "auto" is CUDA where it is there, else the CPU.
     devices : int
         How many of them; of the CPU at most as many as it has processors.
+    projection : {"equirectangular", "pinhole"} or None
+        Of the ground images; None for the data set's.
+    prior_centre_deg : float or None
+        The heading that a heading prior is centred on; None for the data set's.
+    ground_aspect : float or None
+        Width over height of the ground images as they are; None for the data set's.
 
     Raises
     ------
@@ -125,31 +138,33 @@ class TrainConfig:
 
     Examples
     --------
-    >>> config = TrainConfig(data="kitti", root="data/kitti", heading_prior_deg=10)
+    >>> config = TrainConfig(data="kitti", root="data/kitti", heading_half_width_deg=10)
     >>> config.test_grid, config.ground_size
     ('15x15x64', (256, 1024))
     """
 
-    data: Literal["vigor", "kitti"]
+    data: str
     root: str
-    split: Literal["same-area", "cross-area"] = "same-area"
-    labels: Literal["corrected", "original"] = "corrected"
-    cities: tuple[str, ...] | None = None
-    splits: str | None = None
-    heading_prior_deg: float | None = None
+    split: Split = "same-area"
+    data_settings: Mapping[str, Any] = field(default_factory=dict, metadata=_KEPT)
+    heading_half_width_deg: float | None = field(
+        default=None, metadata={"option": "heading-prior", "none": "any"}
+    )
     place_prior: tuple[float, float, float] | None = None
     extent: tuple[float, float, float, float] | None = None
     train_grid: str | None = None
     test_grid: str | None = None
-    hfov_deg: float | None = None
+    hfov_deg: float | None = field(default=None, metadata={"option": "hfov"})
     encoder: str = "vgg16"
     weights: str = "imagenet"
     stride: int = 16
     ground_size: tuple[int, int] | None = None
     aerial_size: int = 512
+    image_mean: Triple | None = field(default=None, metadata=_KEPT)
+    image_std: Triple | None = field(default=None, metadata=_KEPT)
     slices: int = 16
     cross_view_attention: bool = True
-    alpha: float | None = 4.0
+    alpha: float | None = field(default=4.0, metadata={"none": "K"})
     tau: float = 0.1
     grid_jitter: bool = False
     near_negatives: int = 0
@@ -160,25 +175,26 @@ class TrainConfig:
     validation_fraction: float = 0.1
     augment: bool = False
     heat_map_every: int = 1
-    bad_samples: int = 10
+    max_bad_samples: int = 10
     seed: int = 0
     workers: int = 4
     precision: Precision = "32-true"
     accelerator: str = "auto"
     devices: int = 1
+    projection: Projection | None = field(default=None, metadata=_KEPT)
+    prior_centre_deg: float | None = field(default=None, metadata=_KEPT)
+    ground_aspect: float | None = field(default=None, metadata=_KEPT)
+
+    required: ClassVar[tuple[str, ...]] = ("data", "root")
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = convert(field.name, getattr(self, field.name), field.type)
-            object.__setattr__(self, field.name, value)
-        for name, value in _PAPER[self.data].items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
-        if self.extent is None:
-            object.__setattr__(self, "extent", self._default_extent())
+        for setting in fields(self):
+            value = convert(setting.name, getattr(self, setting.name), setting.type)
+            object.__setattr__(self, setting.name, value)
+        self._check("data", self.data in DATA_SETS, f"one of {', '.join(DATA_SETS)}")
         for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
             self._check(name, getattr(self, name) >= 1, "at least 1")
-        for name in ("near_negatives", "heat_map_every", "bad_samples"):
+        for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
@@ -186,33 +202,34 @@ class TrainConfig:
             self._check(name, getattr(self, name) > 0, "greater than 0")
         self._check("alpha", self.alpha is None or self.alpha > 0, "greater than 0, or None for K")
         self._check("validation_fraction", 0 <= self.validation_fraction < 1, "in [0, 1)")
-        self._check("ground_size", min(self.ground_size) >= 1, "two sides of at least 1")
+        half_width = self.heading_half_width_deg
+        self._check(
+            "heading_half_width_deg",
+            half_width is None or 0 <= half_width <= 180,
+            "None or a number from 0 to 180",
+        )
+        size = self.ground_size
+        self._check("ground_size", size is None or min(size) >= 1, "two sides of at least 1")
+        if any(getattr(self, name) is None for name in _FROM_DATA):
+            self._complete()
         for name in ("train_grid", "test_grid"):
             self.grid(name)
-        if self.data != "vigor":
-            self._check("cities", self.cities is None, "None: only VIGOR has cities")
-        if self.data == "vigor":
-            panorama = self.hfov_deg is None or self.hfov_deg == 360
-            self._check("hfov_deg", panorama, "360: VIGOR's ground images are panoramas")
-        if self.data != "kitti":
-            self._check("splits", self.splits is None, "None: only KITTI's splits lie apart")
-        self.data_config()
 
-    def _default_extent(self) -> tuple[float, float, float, float]:
-        """Where the data set's cameras may stand.
-
-        KITTI's stand within 20 m of the centre of a 100.26 m tile, along and across the heading,
-        and are then turned with it. The paper does not say what its grid fills, but 49 % of its
-        lateral errors are below 1 m, and 15 columns over the whole tile would allow at most 30 %.
-        """
-        if self.data == "vigor":
-            return 0.0, 0.0, 1.0, 1.0
-        most_deg = 180.0 if self.heading_prior_deg is None else self.heading_prior_deg
-        turn = math.radians(min(45.0, most_deg))
-        reach_m = SHIFT_RANGE_M * (math.cos(turn) + math.sin(turn))
-        half = math.ceil(100 * reach_m / SPAN_M) / 100  # a hundredth, for the sake of names
-        low, high = round(0.5 - half, 2), round(0.5 + half, 2)
-        return low, low, high, high
+    def _complete(self) -> None:
+        """Take from the data set what is not given, and let it check its own settings."""
+        data = self.data_config()
+        for name in _FROM_DATA:
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(data, name))
+        own = {name: _plain(getattr(data, name)) for name in data.own_settings()}
+        object.__setattr__(self, "data_settings", own)
+        self._check(
+            "hfov_deg",
+            self.hfov_deg is None or data.hfov_deg in (None, self.hfov_deg),
+            f"{data.hfov_deg:g}, as of all ground images of {self.data}"
+            if data.hfov_deg is not None
+            else "",
+        )
 
     def _check(self, name: str, holds: bool, expected: str) -> None:
         if not holds:
@@ -220,23 +237,36 @@ class TrainConfig:
 
     @classmethod
     def from_dict(cls, settings: Mapping[str, Any]) -> "TrainConfig":
-        """Make settings from a mapping and refuse keys that are none.
+        """Make settings from a mapping and refuse unknown keys.
+
+        Parameters
+        ----------
+        settings : mapping
+            Settings by name; the data set's own ones may stand among them. Names of older versions
+            are taken too, and the new ones go before them.
 
         Raises
         ------
         ConfigError
             If a key is unknown or missing, or a value out of its range.
         """
-        known = [field.name for field in fields(cls)]
-        unknown = sorted(str(key) for key in set(settings) - set(known))
+        data = config_class(str(settings["data"])) if _needs_data(settings) else None
+        settings = _renamed(settings, data)
+        known = [setting.name for setting in fields(cls)]
+        own = data.own_settings() if data is not None else []
+        unknown = sorted(str(key) for key in set(settings) - {*known, *own})
         if unknown:
             raise ConfigError(
-                f"setting {unknown[0]!r} is unknown; it must be one of {', '.join(known)}"
+                f"setting {unknown[0]!r} is unknown; it must be one of {', '.join([*known, *own])}"
             )
-        missing = [name for name in ("data", "root") if settings.get(name) is None]
+        missing = [name for name in cls.required if settings.get(name) is None]
         if missing:
             raise ConfigError(f"setting {missing[0]!r} is missing; every run needs data and root")
-        return cls(**settings)
+        shared = {name: value for name, value in settings.items() if name in known}
+        beside = {name: settings[name] for name in own if name in settings}
+        if beside:
+            shared["data_settings"] = {**(settings.get("data_settings") or {}), **beside}
+        return cls(**shared)
 
     @classmethod
     def load(cls, path: str | Path) -> "TrainConfig":
@@ -245,7 +275,7 @@ class TrainConfig:
         Raises
         ------
         ConfigError
-            If it cannot be read, or its settings cannot be; the message names the file.
+            If it is unreadable, or a setting is invalid; the message names the file.
         """
         try:
             return cls.from_dict(read_settings(path))
@@ -254,35 +284,40 @@ class TrainConfig:
                 error
             )
 
+    def flat(self) -> dict[str, Any]:
+        """All settings by name, the data set's own ones among them."""
+        settings = asdict(self)
+        own: dict[str, Any] = settings.pop("data_settings")
+        return settings | own
+
     def save(self, path: str | Path) -> None:
         """Write the settings as YAML, in the order of their documentation, whole or not at all."""
-        plain = {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(self).items()
-        }
-        text = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None)
+        import yaml  # here, so that the settings can be listed without it
+
+        text = yaml.safe_dump(_plain(asdict(self)), sort_keys=False, default_flow_style=None)
         write_text(Path(path), text, ConfigError)
 
     def grid(self, name: str, grid: str | None = None) -> PoseGrid:
         """The candidate grid ``train_grid`` or ``test_grid`` (or another one) in the extent."""
-        return PoseGrid.parse(grid or getattr(self, name), self.extent)
+        return PoseGrid.parse(grid or getattr(self, name), self.extent or (0.0, 0.0, 1.0, 1.0))
 
     def frustum(self) -> Frustum:
         """Field of view and slices; `hfov_deg` must be known, as it is in a run folder."""
-        self._check("hfov_deg", self.hfov_deg is not None, "known: train fills it in")
-        dataset = VigorDataset if self.data == "vigor" else KittiDataset
-        return Frustum(self.hfov_deg, self.slices, dataset.projection)
+        if self.hfov_deg is None or self.projection is None:
+            raise ConfigError("hfov_deg is None; it must be known: training fills it in")
+        return Frustum(self.hfov_deg, self.slices, self.projection)
 
     def heading_prior(self) -> tuple[float, float] | None:
         """The heading prior as (centre, half width) in degrees, or None for any heading."""
-        if self.heading_prior_deg is None:
+        if self.heading_half_width_deg is None or self.prior_centre_deg is None:
             return None
-        dataset = VigorDataset if self.data == "vigor" else KittiDataset
-        return dataset.prior_centre_deg, self.heading_prior_deg
+        return self.prior_centre_deg, self.heading_half_width_deg
 
-    def data_config(
-        self, root: str | None = None, split: str | None = None
-    ) -> VigorConfig | KittiConfig:
+    def normalisation(self) -> tuple[Triple, Triple]:
+        """Mean and deviation of the images; ImageNet's as long as `image_mean` is None."""
+        return self.image_mean or IMAGENET_MEAN, self.image_std or IMAGENET_STD
+
+    def data_config(self, root: str | None = None, split: str | None = None) -> DataConfig:
         """Settings of the data set, on request with another root or split.
 
         Raises
@@ -290,11 +325,17 @@ class TrainConfig:
         ConfigError
             If the data set refuses them.
         """
-        split = split or self.split
-        shared = {
+        kind = config_class(self.data)
+        own = kind.own_settings()
+        unknown = sorted(set(self.data_settings) - set(own))
+        if unknown:
+            raise ConfigError(
+                f"setting {unknown[0]!r} is unknown to {self.data}; its own are {', '.join(own)}"
+            )
+        settings: dict[str, Any] = {
             "root": root or self.root,
-            "heading_prior_deg": self.heading_prior_deg,
-            "ground_size": self.ground_size,
+            "split": split or self.split,
+            "heading_half_width_deg": self.heading_half_width_deg,
             "aerial_size": self.aerial_size,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
@@ -302,11 +343,15 @@ class TrainConfig:
             "place_prior": self.place_prior,
             "seed": self.seed,
         }
+        settings["image_mean"], settings["image_std"] = self.normalisation()
+        if self.ground_size is not None:
+            settings["ground_size"] = self.ground_size
+        for setting in fields(kind):
+            if setting.name in self.data_settings:
+                value = self.data_settings[setting.name]
+                settings[setting.name] = convert(setting.name, value, setting.type)
         try:
-            if self.data == "vigor":
-                return VigorConfig(**shared, split=split, labels=self.labels, cities=self.cities)
-            test = {"same-area": "test1", "cross-area": "test2"}.get(split, split)
-            return KittiConfig(**shared, test=test, splits=self.splits)
+            return kind(**settings)
         except ValueError as error:
             raise ConfigError(str(error)) from error
 
@@ -315,15 +360,48 @@ class TrainConfig:
         part: str,
         root: str | None = None,
         split: str | None = None,
-        bad_samples: BadSamples | None = None,
-    ) -> PoseDataset:
+        bad_sample_log: "BadSampleLog | None" = None,
+    ) -> "PoseDataset":
         """The data set's training, validation or test part."""
-        dataset = VigorDataset if self.data == "vigor" else KittiDataset
-        return dataset(self.data_config(root, split), part, bad_samples)
+        from slicematch.data.dataset import PoseDataset  # needs torch, which settings do not
+
+        return PoseDataset(self.data_config(root, split), part, bad_sample_log)
+
+
+def _needs_data(settings: Mapping[str, Any]) -> bool:
+    """Whether the data set must be asked: something is missing, or its settings stand beside."""
+    if settings.get("data") is None:
+        return False
+    known = {setting.name for setting in fields(TrainConfig)}
+    complete = all(settings.get(name) is not None for name in _FROM_DATA)
+    return not complete or not set(settings) <= known
+
+
+def _renamed(settings: Mapping[str, Any], data: type[DataConfig] | None) -> dict[str, Any]:
+    """The settings by today's names."""
+    renamed = {
+        _OLD_NAMES[name]: value for name, value in settings.items() if name in _OLD_NAMES
+    } | {name: value for name, value in settings.items() if name not in _OLD_NAMES}
+    if data is not None and set(_OLD_NAMES) <= set(settings):
+        # A run folder of version 0.1: it holds the settings of both data sets, and was trained with
+        # ImageNet's mean and deviation, whatever its encoder.
+        for name in {"labels", "cities", "split_dir"} - set(data.own_settings()):
+            renamed.pop(name, None)
+        renamed = {"image_mean": IMAGENET_MEAN, "image_std": IMAGENET_STD} | renamed
+    return renamed
+
+
+def _plain(value: Any) -> Any:
+    """A value of lists, dicts and plain values, as YAML has them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def check_workers(workers: int) -> int:
-    """The number of processes that load images, or ConfigError if it cannot be one."""
+    """The number of processes that load images, or ConfigError if it is negative."""
     if workers < 0:
         raise ConfigError(f"workers is {workers}; it must be at least 0")
     return workers

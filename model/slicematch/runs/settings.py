@@ -1,12 +1,13 @@
-"""Settings as they are written: YAML, and values turned into the types of their fields."""
+"""Settings as they are written: YAML, values turned into the types of their fields, and texts."""
 
+import collections.abc
+import inspect
 import math
+import re
 import types
 import typing
 from pathlib import Path
 from typing import Any, Literal, Union
-
-import yaml
 
 from slicematch.errors import ConfigError
 
@@ -17,15 +18,17 @@ def read_settings(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If it cannot be read as a mapping.
+        If it is unreadable as a mapping.
     """
+    import yaml  # here, so that the settings can be listed without it
+
     try:
         settings = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such file of settings") from None
     except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigError(f"{path}: cannot be read as YAML ({reason})") from error
+        raise ConfigError(f"{path}: is unreadable as YAML ({reason})") from error
     if not isinstance(settings, dict):
         raise ConfigError(f"{path}: holds no settings; expected lines such as 'encoder: vgg16'")
     return settings
@@ -53,6 +56,45 @@ def convert(name: str, value: Any, kind: Any) -> Any:
     raise ConfigError(f"{name} is {value!r}; it must be {_describe(kind)}")
 
 
+def documentation(settings: type) -> dict[str, tuple[str, str]]:
+    """What a class's docstring says of its parameters.
+
+    Parameters
+    ----------
+    settings : type
+        A class with a numpydoc docstring.
+
+    Returns
+    -------
+    dict
+        Parameter name to its type and its description, each on one line.
+
+    Examples
+    --------
+    >>> class Settings:
+    ...     '''Settings.
+    ...
+    ...     Parameters
+    ...     ----------
+    ...     size : (height, width)
+    ...         Pixels of
+    ...         the image.
+    ...     '''
+    >>> documentation(Settings)
+    {'size': ('(height, width)', 'Pixels of the image.')}
+    """
+    text = inspect.cleandoc(settings.__doc__ or "")
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w+\n-+\n|\Z)", text, re.DOTALL | re.MULTILINE)
+    found = {}
+    if section is not None:
+        for names, kind, lines in re.findall(
+            r"^(\S[^:\n]*) : (.*)\n((?:[ ]+.*\n|\n)*)", section[1] + "\n", re.MULTILINE
+        ):
+            for name in names.split(", "):
+                found[name] = kind, " ".join(lines.split())
+    return found
+
+
 def _as(value: Any, kind: Any) -> tuple[bool, Any]:
     if typing.get_origin(kind) is Literal:
         return value in typing.get_args(kind), value
@@ -64,8 +106,10 @@ def _as(value: Any, kind: Any) -> tuple[bool, Any]:
             kinds = (kinds[0],) * len(value)
         if len(kinds) != len(value):
             return False, None
-        parts = [_as(part, one) for part, one in zip(value, kinds, strict=True)]
+        parts = [_as(part, part_kind) for part, part_kind in zip(value, kinds, strict=True)]
         return all(matched for matched, _ in parts), tuple(part for _, part in parts)
+    if typing.get_origin(kind) is collections.abc.Mapping:
+        return isinstance(value, dict), value
     if kind is float:
         if isinstance(value, bool):
             return False, None
@@ -96,6 +140,8 @@ def _describe(kind: Any) -> str:
         kinds = [k for k in typing.get_args(kind) if k is not Ellipsis]
         many = "" if len(kinds) == 1 else f"{len(kinds)} "
         return f"a list of {many}{_PLURALS[kinds[0]]}"
+    if typing.get_origin(kind) is collections.abc.Mapping:
+        return "a mapping of settings"
     return _WORDS[kind]
 
 

@@ -81,14 +81,14 @@ class Candidates:
 
     def within(
         self,
-        heading_prior_deg: tuple[float, float] | None = None,
+        heading_prior: tuple[float, float] | None = None,
         place_prior: tuple[float, float, float] | None = None,
     ) -> "Candidates":
         """Return the candidates that agree with what is known before.
 
         Parameters
         ----------
-        heading_prior_deg : (centre, half_width), optional
+        heading_prior : (centre, half_width), optional
             Only headings within half_width of the centre, counted around the circle. A half
             width of 0 is a known heading ("aligned").
         place_prior : (u, v, radius), optional
@@ -101,15 +101,15 @@ class Candidates:
         """
         keep = np.ones(len(self.poses), dtype=bool)
         # The slack takes in candidates that stand on the prior's edge but for rounding.
-        if heading_prior_deg is not None:
-            centre, half_width = _numbers("heading prior", heading_prior_deg, 2)
+        if heading_prior is not None:
+            centre, half_width = _numbers("heading prior", heading_prior, 2)
             keep &= np.abs(turn_deg(self.poses[:, 2], centre)) <= half_width + 1e-9
         if place_prior is not None:
             u, v, radius = _numbers("place prior", place_prior, 3)
             keep &= in_place_prior(self.poses[:, 0], self.poses[:, 1], (u, v, radius))
         if not keep.any():
             raise ConfigError(
-                f"no candidate pose agrees with heading prior {heading_prior_deg} (centre, half "
+                f"no candidate pose agrees with heading prior {heading_prior} (centre, half "
                 f"width in degrees) and place prior {place_prior} (u, v, radius); widen them, or "
                 "choose a grid with candidates there"
             )

@@ -46,8 +46,8 @@ def jittered_candidates(
     """
     offsets = np.random.default_rng([seed, OFFSETS]).uniform(-0.5, 0.5, (OFFSETS, 3))
     offsets *= grid_steps(grid)
-    if domain.heading_prior_deg is not None:
-        half_width = domain.heading_prior_deg[1]
+    if domain.heading_prior is not None:
+        half_width = domain.heading_prior[1]
         offsets[:, 2] = np.clip(offsets[:, 2], -half_width, half_width)
     jittered = []
     with tempfile.TemporaryDirectory() as folder:

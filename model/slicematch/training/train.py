@@ -9,21 +9,23 @@ import json
 import logging
 import os
 import warnings
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, DistributedSampler
+from torch.utils.data import DistributedSampler
 
 from slicemask import PoseGrid, build_bank, slice_masks
 from slicemask.files import check_folder, write_text
 from slicemask.plot import save_figure
 from slicemask.threads import thread_count
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
-from slicematch.data import BadSamples, PoseDataset, collate, denormalise
+from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
+from slicematch.data.images import denormalise
+from slicematch.data.loading import PoseLoader
 from slicematch.devices import device_name
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import calibrate
@@ -48,7 +50,15 @@ log = logging.getLogger(__name__)
 
 
 # Settings that a resumed run may change: where things are and how long to train, not what.
-_FREE = ("root", "splits", "epochs", "workers", "accelerator", "heat_map_every", "bad_samples")
+_FREE = (
+    "root",
+    "split_dir",
+    "epochs",
+    "workers",
+    "accelerator",
+    "heat_map_every",
+    "max_bad_samples",
+)
 
 
 def train(
@@ -129,11 +139,11 @@ def train(
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
         _warn_of_places_outside(config, datasets)
-    bad_samples = BadSamples(
-        run.bad_samples_file, config.bad_samples, keep=resuming or not is_first_process()
+    bad_sample_log = BadSampleLog(
+        run.bad_samples_file, config.max_bad_samples, keep=resuming or not is_first_process()
     )
     for dataset in datasets:
-        dataset.bad_samples = bad_samples
+        dataset.bad_sample_log = bad_sample_log
     module = TrainingModule(config, model, train_candidates, test_candidates)
     data = _Data(config, training, validation, first_epoch)
     with warnings.catch_warnings():
@@ -155,7 +165,7 @@ def train(
                 )
             raise
     if trainer.is_global_zero:
-        if message := bad_samples.report():
+        if message := bad_sample_log.report():
             log.warning(message)
         if validation is not None:
             device = "cpu" if config.accelerator == "cpu" else "auto"
@@ -170,7 +180,7 @@ def is_first_process() -> bool:
 
 def _check_same(run: RunFolder, config: TrainConfig) -> None:
     """Refuse to resume a run with other settings than its own."""
-    before, now = asdict(run.load_config()), asdict(config)
+    before, now = run.load_config().flat(), config.flat()
     # A schedule that comes down at the end is laid out for a number of epochs.
     fixed = {"epochs"} if config.schedule != "constant" else set()
     for name, value in now.items():
@@ -437,13 +447,13 @@ class _Data(lightning.LightningDataModule):
         self.validation = validation
         self.first_epoch = first_epoch
 
-    def train_dataloader(self) -> DataLoader:
+    def train_dataloader(self) -> PoseLoader:
         return self._loader(self.training, shuffle=True)
 
-    def val_dataloader(self) -> DataLoader | list:
+    def val_dataloader(self) -> PoseLoader | list:
         return [] if self.validation is None else self._loader(self.validation, shuffle=False)
 
-    def _loader(self, dataset: PoseDataset, shuffle: bool) -> DataLoader:
+    def _loader(self, dataset: PoseDataset, shuffle: bool) -> PoseLoader:
         sampler = DistributedSampler(
             dataset,
             num_replicas=self.trainer.world_size,
@@ -454,7 +464,7 @@ class _Data(lightning.LightningDataModule):
         # Lightning numbers the later epochs, but starts the first one's workers before it has.
         sampler.set_epoch(self.first_epoch)
         dataset.set_epoch(self.first_epoch)
-        return DataLoader(
+        return PoseLoader(
             dataset,
             self.config.batch_size,
             sampler=sampler,

@@ -3,22 +3,24 @@
 import numpy as np
 import pytest
 from PIL import Image
-from slicematch.data import (
-    DatasetError,
-    ImageError,
+from slicematch.data.dataset import PoseDataset
+from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.images import denormalise
+from slicematch.data.kitti import (
+    METRES_PER_PIXEL,
+    SPAN_M,
     KittiConfig,
-    KittiDataset,
-    SampleError,
-    denormalise,
+    camera_pose,
+    cut_tile,
+    read_hfov_deg,
 )
-from slicematch.data.kitti import METRES_PER_PIXEL, SPAN_M, camera_pose, cut_tile, read_hfov_deg
 
 SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
 def open_kitti(root, part="train", **settings):
-    return KittiDataset(KittiConfig(root=root, **{**SMALL, **settings}), part)
+    return PoseDataset(KittiConfig(root=root, **{**SMALL, **settings}), part)
 
 
 def test_the_crop_spans_100_26_metres():
@@ -149,20 +151,20 @@ def test_the_ground_image_is_what_the_crop_shows_from_the_pose(
 
 def test_the_paper_s_sizes_are_the_defaults(make_kitti_tree, tmp_path):
     make_kitti_tree(tmp_path, pairs=1)
-    dataset = KittiDataset(KittiConfig(root=tmp_path), "test")
+    dataset = PoseDataset(KittiConfig(root=tmp_path), "test")
     sample = dataset[0]
     assert sample["ground"].shape == (3, 256, 1024)
     assert sample["aerial"].shape == (3, 512, 512)
     assert sample["metres_per_pixel"] == pytest.approx(METRES_PER_PIXEL, rel=1e-12)
-    assert dataset.projection == "pinhole"
+    assert dataset.config.projection == "pinhole"
     assert open_kitti(tmp_path)[0]["metres_per_pixel"] == pytest.approx(8 * METRES_PER_PIXEL)
 
 
 @pytest.mark.parametrize(("prior", "reach"), [(10, 10), (0, 0), (None, 180), (180, 180)])
 def test_test_poses_follow_their_file(make_kitti_tree, tmp_path, prior, reach):
     tree = make_kitti_tree(tmp_path, pairs=3, tile_pixels=8, ground_size=(5, 16))
-    dataset = open_kitti(tmp_path, "test", heading_prior_deg=prior)
-    assert dataset.heading_prior_deg == (None if reach == 180 else (90.0, float(prior)))
+    dataset = open_kitti(tmp_path, "test", heading_half_width_deg=prior)
+    assert dataset.heading_prior == (None if reach == 180 else (90.0, float(prior)))
     for index, (sx, sy, theta) in enumerate(tree.tests):
         t = np.radians(theta * reach)
         right = 20 * (sx * np.cos(t) - sy * np.sin(t))
@@ -177,32 +179,32 @@ def test_both_test_files_can_be_chosen(make_kitti_tree, tmp_path):
     tree = make_kitti_tree(tmp_path, pairs=2)
     (tmp_path / "test2_files.txt").write_text(f"{tree.frames[1]} 1 -0.5 0")
     assert open_kitti(tmp_path, "test").names == tree.frames
-    cross = open_kitti(tmp_path, "test", test="test2", heading_prior_deg=10)
+    cross = open_kitti(tmp_path, "test", split="cross-area", heading_half_width_deg=10)
     assert cross.names == [tree.frames[1]]
     assert cross.poses().tolist() == [[0.5 + 20 / SPAN_M, 0.5 + 10 / SPAN_M, 90.0]]
-    with pytest.raises(DatasetError, match="test is 'test3'; it must be one of test1, test2"):
-        open_kitti(tmp_path, "test", test="test3")
+    with pytest.raises(DatasetError, match="split is 'test3'; it must be one of same-area"):
+        open_kitti(tmp_path, "test", split="test3")
 
 
 def test_split_files_may_lie_elsewhere(make_kitti_tree, tmp_path):
     make_kitti_tree(tmp_path / "data", pairs=2)
     (tmp_path / "lists").mkdir()
     (tmp_path / "data" / "train_files.txt").rename(tmp_path / "lists" / "train_files.txt")
-    assert len(open_kitti(tmp_path / "data", splits=tmp_path / "lists")) == 2
+    assert len(open_kitti(tmp_path / "data", split_dir=tmp_path / "lists")) == 2
     with pytest.raises(
-        DatasetError, match=r"train_files\.txt: the split file is missing; .* splits"
+        DatasetError, match=r"train_files\.txt: the split file is missing; .* split_dir"
     ):
         open_kitti(tmp_path / "data")
 
 
 def test_training_draws_shift_and_turn_anew(make_kitti_tree, tmp_path):
     make_kitti_tree(tmp_path, pairs=8, tile_pixels=8, ground_size=(5, 16))
-    dataset = open_kitti(tmp_path, heading_prior_deg=10)
+    dataset = open_kitti(tmp_path, heading_half_width_deg=10)
     poses = []
     for epoch in range(20):
         dataset.set_epoch(epoch)
         poses.append(dataset.poses())
-    again = open_kitti(tmp_path, heading_prior_deg=10)
+    again = open_kitti(tmp_path, heading_half_width_deg=10)
     again.set_epoch(19)
     assert np.array_equal(again.poses(), poses[19])
     u, v, heading_deg = np.concatenate(poses).T
@@ -244,7 +246,7 @@ def test_a_line_that_is_no_sample_is_named(make_kitti_tree, tmp_path, name, line
     make_kitti_tree(tmp_path, pairs=1)
     text = (tmp_path / name).read_text()
     (tmp_path / name).write_text(text + line + "\n")
-    with pytest.raises(DatasetError, match=rf"{name}, line 2: .* is no sample"):
+    with pytest.raises(DatasetError, match=rf"{name}, line 2: is no sample, since "):
         open_kitti(tmp_path, name.split("_")[0].rstrip("1"))
 
 
@@ -291,7 +293,7 @@ def test_field_of_view_of_a_tree(make_kitti_tree, tmp_path):
         ("S_rect_02: 1242 375\n", "no focal length"),
         ("P_rect_02: \n", "no focal length"),
         ("P_rect_02: wide\n", "no focal length"),
-        ("P_rect_02: nan 0\n", "field of view of nan"),
+        ("P_rect_02: nan 0\n", "P_rect_02 is 'nan 0'"),
         ("S_rect_02: -5 1\nP_rect_02: 700 0\n", "expected 81.4 to 81.8"),
         ("", "the calibration file is empty"),
     ],
@@ -328,7 +330,7 @@ def test_an_oddly_sized_image_is_named(make_kitti_tree, tmp_path, folder, size):
     make_kitti_tree(tmp_path, pairs=1)
     (path,) = (file for file in tmp_path.rglob("*.png") if folder in str(file))
     Image.new("RGB", size).save(path)
-    with pytest.raises(ImageError) as error:
+    with pytest.raises(SampleError) as error:
         open_kitti(tmp_path)[0]
     assert str(path) in str(error.value)
     assert f"{size[0]}x{size[1]} pixels" in str(error.value)

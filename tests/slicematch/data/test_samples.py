@@ -5,19 +5,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from slicematch.data import (
-    BadSamples,
-    DatasetError,
-    ImageError,
-    SampleError,
-    VigorConfig,
-    VigorDataset,
-    collate,
-)
+from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
+from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.vigor import VigorConfig
 from torch.utils.data import DataLoader
 
 
-def open_vigor(root, part="train", bad_samples=None):
+def open_vigor(root, part="train", bad_sample_log=None):
     config = VigorConfig(
         root=root,
         cities=("Chicago",),
@@ -25,7 +19,7 @@ def open_vigor(root, part="train", bad_samples=None):
         aerial_size=16,
         validation_fraction=0.0,
     )
-    return VigorDataset(config, part, bad_samples)
+    return PoseDataset(config, part, bad_sample_log)
 
 
 @pytest.fixture
@@ -53,14 +47,14 @@ def test_items_are_of_the_agreed_types(make_vigor_tree, tmp_path):
 
 def test_without_a_list_of_bad_samples_they_raise(broken_tree):
     dataset = open_vigor(broken_tree)
-    with pytest.raises(ImageError, match=r"pano_001.*no such image"):
+    with pytest.raises(SampleError, match=r"pano_001.*no such image"):
         dataset[1]
-    with pytest.raises(SampleError, match=r"satellite_.*cannot be read as an image"):
+    with pytest.raises(SampleError, match=r"satellite_.*is unreadable as an image"):
         dataset[4]
 
 
 def test_a_worker_s_error_is_still_one_sentence(broken_tree):
-    with pytest.raises(ImageError) as error:
+    with pytest.raises(SampleError) as error:
         list(DataLoader(open_vigor(broken_tree), num_workers=1))
     assert str(error.value).startswith(str(broken_tree))
     assert "\n" not in str(error.value)
@@ -68,8 +62,8 @@ def test_a_worker_s_error_is_still_one_sentence(broken_tree):
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_in_training_the_next_readable_sample_stands_in(broken_tree, tmp_path, workers):
-    bad_samples = BadSamples(tmp_path / "run" / "bad_samples.jsonl")
-    dataset = open_vigor(broken_tree, bad_samples=bad_samples)
+    bad_sample_log = BadSampleLog(tmp_path / "run" / "bad_samples.jsonl")
+    dataset = open_vigor(broken_tree, bad_sample_log=bad_sample_log)
     loader = DataLoader(dataset, batch_size=3, num_workers=workers, collate_fn=collate)
     for _ in range(2):
         batches = list(loader)
@@ -77,58 +71,58 @@ def test_in_training_the_next_readable_sample_stands_in(broken_tree, tmp_path, w
         assert batches[0]["name"][1] == batches[0]["name"][2] == dataset.names[2]
         assert torch.equal(batches[0]["ground"][1], batches[0]["ground"][2])
     # Both are on record, once each, and in the file for whoever looks later.
-    assert set(bad_samples.entries()) == {dataset.names[1], dataset.names[4]}
+    assert set(bad_sample_log.entries()) == {dataset.names[1], dataset.names[4]}
     lines = (tmp_path / "run" / "bad_samples.jsonl").read_text().splitlines()
     assert len(lines) == 2
-    assert "no such image" in bad_samples.entries()[dataset.names[1]]
+    assert "no such image" in bad_sample_log.entries()[dataset.names[1]]
     assert str(broken_tree) in json.loads(lines[0])["error"]
-    assert bad_samples.report().startswith("2 samples could not be read, listed in ")
+    assert bad_sample_log.report().startswith("2 samples are unreadable, listed in ")
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_in_evaluation_a_bad_sample_is_left_out(broken_tree, tmp_path, workers):
-    bad_samples = BadSamples(tmp_path / "bad_samples.jsonl")
-    dataset = open_vigor(broken_tree, "test", bad_samples)
+    bad_sample_log = BadSampleLog(tmp_path / "bad_samples.jsonl")
+    dataset = open_vigor(broken_tree, "test", bad_sample_log)
     loader = DataLoader(dataset, batch_size=2, num_workers=workers, collate_fn=collate)
     assert [batch["index"].tolist() for batch in loader] == [[0], [2, 3], [5]]
     assert collate([dataset[1], dataset[4]]) is None
-    assert set(bad_samples.entries()) == {dataset.names[1], dataset.names[4]}
+    assert set(bad_sample_log.entries()) == {dataset.names[1], dataset.names[4]}
 
 
 def test_too_many_bad_samples_end_the_run(broken_tree, tmp_path):
-    bad_samples = BadSamples(tmp_path / "bad_samples.jsonl", limit=1)
-    dataset = open_vigor(broken_tree, bad_samples=bad_samples)
+    bad_sample_log = BadSampleLog(tmp_path / "bad_samples.jsonl", limit=1)
+    dataset = open_vigor(broken_tree, bad_sample_log=bad_sample_log)
     assert dataset[1]["index"] == 2
     with pytest.raises(DatasetError, match=r"more than 1 samples .*bad_samples\.jsonl"):
         dataset[4]
-    assert len(bad_samples.entries()) == 2
+    assert len(bad_sample_log.entries()) == 2
 
 
 def test_a_data_set_without_a_single_good_sample_ends_the_run(broken_tree, tmp_path):
     for panorama in Path(broken_tree, "Chicago", "panorama").iterdir():
         panorama.unlink()
-    dataset = open_vigor(broken_tree, bad_samples=BadSamples(tmp_path / "bad.jsonl"))
-    with pytest.raises(DatasetError, match=r"none of the 6 samples can be read; see .*bad\.jsonl"):
+    dataset = open_vigor(broken_tree, bad_sample_log=BadSampleLog(tmp_path / "bad.jsonl"))
+    with pytest.raises(DatasetError, match=r"none of the 6 samples is readable; see .*bad\.jsonl"):
         dataset[0]
 
 
 def test_a_run_s_list_starts_empty_and_says_nothing_then(tmp_path):
     path = tmp_path / "bad_samples.jsonl"
-    BadSamples(path).record("one", SampleError("one.png: gone"))
-    again = BadSamples(path)
+    BadSampleLog(path).record("one", SampleError("one.png: gone"))
+    again = BadSampleLog(path)
     assert again.entries() == {}
     assert again.report() == ""
     again.record("two", SampleError("two.png: gone"))
-    assert list(BadSamples(path, keep=True).entries()) == ["two"]
+    assert list(BadSampleLog(path, keep=True).entries()) == ["two"]
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("heading_prior_deg", -1),
-        ("heading_prior_deg", 181),
-        ("heading_prior_deg", float("nan")),
-        ("heading_prior_deg", "10"),
+        ("heading_half_width_deg", -1),
+        ("heading_half_width_deg", 181),
+        ("heading_half_width_deg", float("nan")),
+        ("heading_half_width_deg", "10"),
         ("ground_size", (320,)),
         ("ground_size", (0, 640)),
         ("ground_size", (1.5, 640)),
@@ -139,7 +133,6 @@ def test_a_run_s_list_starts_empty_and_says_nothing_then(tmp_path):
         ("validation_fraction", "0.1"),
         ("seed", -1),
         ("split", "random"),
-        ("labels", "uncorrected"),
     ],
 )
 def test_settings_out_of_range_are_named(name, value):

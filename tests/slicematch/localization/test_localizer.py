@@ -40,7 +40,7 @@ def run(vigor, tmp_path_factory, cache):
     config = TrainConfig(
         data="vigor",
         root=str(vigor.root),
-        cities=("Chicago",),
+        data_settings={"cities": ["Chicago"]},
         encoder="test_convnext",
         weights="none",
         ground_size=(32, 64),
@@ -85,7 +85,7 @@ def test_an_unrefined_estimate_is_the_best_candidate(localizer, images):
 def test_it_scores_as_the_model_does_on_the_data_sets_samples(localizer, run, images):
     from dataclasses import replace
 
-    aligned = replace(localizer.config, heading_prior_deg=0.0)
+    aligned = replace(localizer.config, heading_half_width_deg=0.0)
     sample = aligned.dataset("test")[0]
     with torch.no_grad():
         scores = localizer.model(
@@ -124,7 +124,7 @@ def test_a_tile_is_encoded_once_for_many_ground_images(run, cache, vigor, images
 
 def test_priors_leave_candidates_out(localizer, images):
     whole = localizer.localize(*images)
-    near_north = localizer.localize(*images, heading_prior_deg=(350, 60), refine="none")
+    near_north = localizer.localize(*images, heading_prior=(350, 60), refine="none")
     assert np.isfinite(near_north.scores).any(axis=(0, 1)).tolist() == [
         True, True, False, False, False, False, False, True,
     ]  # fmt: skip
@@ -215,7 +215,7 @@ def test_a_refined_estimate_keeps_to_the_priors(localizer, images, refine):
     for mode in localizer.localize(*images, (0, 20), (0.1, 0.125, 0.05), refine=refine).modes:
         assert abs((mode.pose[2] + 180) % 360 - 180) <= 20 + 1e-9
         assert np.hypot(mode.pose[0] - 0.1, mode.pose[1] - 0.125) <= 0.05 + 1e-9
-    aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine=refine)
+    aligned = localizer.localize(*images, heading_prior=(45, 0), refine=refine)
     assert {mode.pose[2] for mode in aligned.modes} == {45.0}
     assert len({mode.pose[0] for mode in aligned.modes}) > 1
 
@@ -231,7 +231,7 @@ def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localize
     turns = (poses[some, 2] - grid.pose[2] + 180) % 360 - 180
     turn = weights @ turns / weights.sum()
     assert mean.pose[2] == pytest.approx((grid.pose[2] + turn) % 360)
-    aligned = localizer.localize(*images, heading_prior_deg=(45, 0), refine="mean")
+    aligned = localizer.localize(*images, heading_prior=(45, 0), refine="mean")
     assert {mode.pose[2] for mode in aligned.modes} == {45.0}
 
 
@@ -273,7 +273,7 @@ def test_a_model_that_has_diverged_is_refused(run, cache, images, refine):
 
 
 def test_probabilities_sum_to_one_and_modes_share_them(localizer, images):
-    estimate = localizer.localize(*images, heading_prior_deg=(0, 100))
+    estimate = localizer.localize(*images, heading_prior=(0, 100))
     assert estimate.probabilities.shape == (4, 5, 8)
     assert estimate.probabilities.sum() == pytest.approx(1)
     assert (estimate.probabilities[..., 3:6] == 0).all()
@@ -465,11 +465,11 @@ def test_an_evaluation_that_fails_leaves_what_was_there(
 def test_more_bad_samples_than_the_run_bears(run, cache, vigor, tmp_path):
     few = shutil.copytree(run, tmp_path / "run")
     config = (few / "config.yaml").read_text()
-    (few / "config.yaml").write_text(config.replace("bad_samples: 10", "bad_samples: 1"))
+    (few / "config.yaml").write_text(config.replace("max_bad_samples: 10", "max_bad_samples: 1"))
     root = shutil.copytree(vigor.root, tmp_path / "vigor")
     for path in sorted((root / "Chicago" / "satellite").iterdir())[:2]:
         path.write_bytes(b"no picture")
-    with pytest.raises(RunError, match="more than 1 samples cannot be read"):
+    with pytest.raises(RunError, match="more than 1 samples are unreadable"):
         evaluate(few, root=str(root), out=tmp_path / "out", cache=cache, device="cpu")
     assert not (tmp_path / "out").exists()
 
@@ -490,7 +490,7 @@ def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
     assert len(evaluation.names) == len(evaluation.estimates) == 4
     assert "1 samples could not be read" in evaluation.report()
     result = json.loads((folder / "result.json").read_text())
-    ((name, fault),) = result["bad_samples"].items()
+    ((name, fault),) = result["unreadable"].items()
     assert str(broken) in fault
     (line,) = (folder / "bad_samples.jsonl").read_text().splitlines()
     assert json.loads(line) == {"name": name, "error": fault}

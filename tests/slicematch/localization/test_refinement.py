@@ -132,7 +132,7 @@ def test_a_grid_that_is_fine_enough_is_left_as_it_is():
 def test_priors_are_kept_and_their_edges_reached(how):
     """The peak lies outside the prior: the answer is the point of the prior that is nearest."""
     truth, centre, radius = [0.7, 0.5, 40.0], (0.5, 0.5), 0.13
-    domain = Domain(heading_prior_deg=(10.0, 20.0), place_prior=(*centre, radius))
+    domain = Domain(heading_prior=(10.0, 20.0), place_prior=(*centre, radius))
     scores = on_grid(bump(truth, (0.2, 0.2, 30.0)))
     poses = GRID.poses()
     out = np.hypot(poses[:, 0] - 0.5, poses[:, 1] - 0.5) > radius
@@ -151,7 +151,7 @@ def test_a_known_heading_stays():
     pose, _ = refined(bump([0.41, 0.43, 9.0]), None, grid=grid)
     assert pose[2] == 0.0
     np.testing.assert_allclose(pose[:2], [0.41, 0.43], atol=1e-4)
-    domain = Domain(heading_prior_deg=(90.0, 0.0))
+    domain = Domain(heading_prior=(90.0, 0.0))
     poses = torch.tensor([[0.5, 0.5, 123.0], [0.5, 0.5, -10.0]], dtype=torch.float64)
     assert domain.project(poses)[:, 2].tolist() == [90.0, 90.0]
 

@@ -19,7 +19,7 @@ def test_the_defaults_for_vigor_are_the_papers():
 
 
 def test_the_defaults_for_kitti_are_the_papers():
-    config = TrainConfig(data="kitti", root="data", heading_prior_deg=10)
+    config = TrainConfig(data="kitti", root="data", heading_half_width_deg=10)
     assert (config.ground_size, config.aerial_size) == ((256, 1024), 512)
     assert (config.train_grid, config.test_grid) == ("5x5x16", "15x15x64")
     assert config.heading_prior() == (90.0, 10.0)
@@ -30,7 +30,7 @@ def test_the_defaults_for_kitti_are_the_papers():
     [(0, 0.3, 0.7), (10, 0.26, 0.74), (45, 0.21, 0.79), (None, 0.21, 0.79)],
 )
 def test_kittis_grid_holds_every_camera(prior, low, high):
-    config = TrainConfig(data="kitti", root="data", heading_prior_deg=prior)
+    config = TrainConfig(data="kitti", root="data", heading_half_width_deg=prior)
     assert config.extent == (low, low, high, high)
     reach = 180 if prior is None else prior
     places = [
@@ -49,8 +49,8 @@ def test_yaml_there_and_back(tmp_path):
     config = TrainConfig(
         data="vigor",
         root="some/where",
-        cities=("Chicago",),
-        heading_prior_deg=0,
+        data_settings={"cities": ["Chicago"]},
+        heading_half_width_deg=0,
         place_prior=(0.5, 0.5, 0.3),
         alpha=None,
         ground_size=[64, 128],
@@ -77,17 +77,20 @@ def test_yaml_there_and_back(tmp_path):
         ({"workers": -1}, "workers is -1; it must be at least 0"),
         ({"root": "a\0b"}, "root is 'a.*b'; it must be text without null characters"),
         ({"cities": ["a\0b"]}, "cities is .*; it must be a list of texts"),
-        ({"hfov_deg": 90}, "hfov_deg is 90.0; it must be 360: VIGOR's ground images are panoramas"),
+        ({"hfov_deg": 90}, "hfov_deg is 90.0; it must be 360, as of all ground images of vigor"),
         ({"ground_size": [64]}, "ground_size is .64.; it must be a list of 2 whole numbers"),
         ({"train_grid": "7x7"}, "7x7"),
         ({"extent": [0.7, 0, 0.3, 1]}, "extent"),
-        ({"heading_prior_deg": 200}, "heading_prior_deg is 200.0"),
-        ({"splits": "elsewhere"}, "splits is 'elsewhere'; it must be None"),
+        ({"heading_half_width_deg": 200}, "heading_half_width_deg is 200.0"),
+        (
+            {"split_dir": "elsewhere"},
+            "setting 'split_dir' is unknown; it must be one of .*, labels",
+        ),
         ({"cities": ["Gotham"]}, "Gotham"),
         ({"precision": "8"}, "precision is '8'; it must be one of 32-true"),
     ],
 )
-def test_settings_that_cannot_be(settings, said):
+def test_invalid_settings_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         TrainConfig.from_dict({"data": "vigor", "root": "data", **settings})
 
@@ -102,10 +105,10 @@ def test_yaml_numbers_as_the_help_prints_them(tmp_path):
     ("text", "said"),
     [
         ("- a\n- b\n", "holds no settings"),
-        ("a: [", "cannot be read as YAML"),
-        ("a: " + "1" * 5000, "cannot be read as YAML"),
-        ("a: 2026-99-99", "cannot be read as YAML"),
-        ("data: !!python/object/apply:os.system ['true']\n", "cannot be read as YAML"),
+        ("a: [", "is unreadable as YAML"),
+        ("a: " + "1" * 5000, "is unreadable as YAML"),
+        ("a: 2026-99-99", "is unreadable as YAML"),
+        ("data: !!python/object/apply:os.system ['true']\n", "is unreadable as YAML"),
         ("data: vigor\nroot: x\nseed: -1\n", "seed is -1"),
         ('data: vigor\nroot: "\\0"\n', "root is .*without null characters"),
     ],

@@ -38,7 +38,7 @@ def config(make_vigor_tree, tmp_path_factory):
     return TrainConfig(
         data="vigor",
         root=str(root),
-        cities=("Chicago",),
+        data_settings={"cities": ["Chicago"]},
         encoder="test_convnext",
         weights="none",
         stride=16,
@@ -259,11 +259,11 @@ def test_training_without_validation_keeps_the_checkpoint_of_least_loss(config, 
 @pytest.mark.parametrize(
     "settings",
     [
-        {"heading_prior_deg": 0.0, "train_grid": "3x3x1", "test_grid": "4x4x1"},
-        {"heading_prior_deg": 45.0, "place_prior": (0.5, 0.5, 0.4)},
+        {"heading_half_width_deg": 0.0, "train_grid": "3x3x1", "test_grid": "4x4x1"},
+        {"heading_half_width_deg": 45.0, "place_prior": (0.5, 0.5, 0.4)},
         {"cross_view_attention": False, "alpha": None},
         {"grid_jitter": True, "near_negatives": 3},
-        {"grid_jitter": True, "near_negatives": 3, "heading_prior_deg": 0.0},
+        {"grid_jitter": True, "near_negatives": 3, "heading_half_width_deg": 0.0},
     ],
 )
 def test_priors_and_ablations_train(config, tmp_path, cache, settings):
@@ -281,8 +281,8 @@ def test_an_unreadable_sample_leaves_a_trace_and_the_epoch_goes_on(config, tmp_p
     assert metrics(run)[0]["step"] == 4
     assert broken.name in (run / "bad_samples.jsonl").read_text()
 
-    with pytest.raises(DatasetError, match="more than 0 samples cannot be read"):
-        train(replace(config, bad_samples=0), tmp_path / "b", cache=cache, progress=False)
+    with pytest.raises(DatasetError, match="more than 0 samples are unreadable"):
+        train(replace(config, max_bad_samples=0), tmp_path / "b", cache=cache, progress=False)
 
 
 @pytest.mark.parametrize(

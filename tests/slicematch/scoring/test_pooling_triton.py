@@ -61,7 +61,7 @@ def test_shares_are_those_of_the_plain_path(
     pool_fused, tmp_path, grid, frustum, channels, half_width
 ):
     candidates, (ground, features, attention) = make(tmp_path, grid, frustum, channels)
-    plan = candidates.within(heading_prior_deg=(0.0, half_width)).plans[0]
+    plan = candidates.within(heading_prior=(0.0, half_width)).plans[0]
     expected = pool_by_slice(plan, ground, features, attention, values_at_once=1 << 20)
     dots = attention * (features @ ground.T)
     found = pool_fused(plan, features, attention, dots)
@@ -73,7 +73,7 @@ def test_shares_are_those_of_the_plain_path(
 
 def test_both_ways_to_pool_are_tried(tmp_path):
     candidates, _ = make(tmp_path, "1x2x32", Frustum(360, 16), 1)
-    plan = candidates.within(heading_prior_deg=(0.0, HALF_WIDTH)).plans[0]
+    plan = candidates.within(heading_prior=(0.0, HALF_WIDTH)).plans[0]
     assert len(plan.many)
     assert any(len(rows) for rows, _ in plan.single)
 

@@ -115,7 +115,7 @@ def test_priors_are_subsets_and_leave_the_scores_as_they_are(tmp_path):
     assert whole.shape == (BATCH, 8, 4, 16)
 
     # 16 headings are 22.5 degrees apart; the prior reaches across north.
-    prior = candidates.within(heading_prior_deg=(350.0, 35.0), place_prior=(0.125, 0.0625, 0.25))
+    prior = candidates.within(heading_prior=(350.0, 35.0), place_prior=(0.125, 0.0625, 0.25))
     assert sorted(set(prior.poses[:, 2])) == [0.0, 22.5, 315.0, 337.5]
     places = {tuple(place) for place in prior.poses[:, :2].tolist()}
     assert places == {(0.125, 0.0625), (0.375, 0.0625), (0.125, 0.1875), (0.125, 0.3125)}
@@ -131,7 +131,7 @@ def test_priors_are_subsets_and_leave_the_scores_as_they_are(tmp_path):
 @pytest.mark.parametrize("centre", [0.0, 360.0, -360.0, 720.0])
 def test_a_known_heading_is_a_prior_of_no_width(tmp_path, centre):
     candidates = build(tmp_path, PoseGrid.parse("3x3x16"), Frustum(360, 4))
-    aligned = candidates.within(heading_prior_deg=(centre, 0.0))
+    aligned = candidates.within(heading_prior=(centre, 0.0))
     assert (aligned.poses[:, 2] == 0).all()
     assert len(aligned.poses) == 9
     np.testing.assert_array_equal(aligned.grid_index, np.arange(0, 144, 16))
@@ -139,16 +139,16 @@ def test_a_known_heading_is_a_prior_of_no_width(tmp_path, centre):
 
 def test_a_prior_of_half_a_circle_keeps_every_heading(tmp_path):
     candidates = build(tmp_path, PoseGrid.parse("2x2x8"), Frustum(360, 4))
-    assert candidates.within(heading_prior_deg=(123.0, 180.0)) is candidates
+    assert candidates.within(heading_prior=(123.0, 180.0)) is candidates
 
 
 @pytest.mark.parametrize(
     ("priors", "said"),
     [
-        ({"heading_prior_deg": (5.0, 1.0)}, "no candidate pose agrees"),
+        ({"heading_prior": (5.0, 1.0)}, "no candidate pose agrees"),
         ({"place_prior": (0.0, 0.0, 0.01)}, "no candidate pose agrees"),
-        ({"heading_prior_deg": (5.0, -1.0)}, "heading prior is"),
-        ({"heading_prior_deg": (float("nan"), 1.0)}, "heading prior is"),
+        ({"heading_prior": (5.0, -1.0)}, "heading prior is"),
+        ({"heading_prior": (float("nan"), 1.0)}, "heading prior is"),
         ({"place_prior": (0.5, 0.5)}, "place prior is"),
     ],
 )
@@ -191,7 +191,7 @@ def test_masks_are_pooled_the_way_that_suits_their_use(tmp_path):
     assert not any(len(rows) for rows, _ in candidates.plans[0].single)
     # Few headings use a mask as few slice numbers; with more of them, some masks are shared.
     for half_width, ways in ((20.0, "single"), (105.0, "both")):
-        some = candidates.within(heading_prior_deg=(0.0, half_width))
+        some = candidates.within(heading_prior=(0.0, half_width))
         plan = some.plans[0]
         assert bool(len(plan.many)) == (ways == "both")
         assert any(len(rows) for rows, _ in plan.single)
@@ -256,7 +256,7 @@ def test_gradients_of_masks_that_are_pooled_both_ways(tmp_path, kept):
     """Masks pooled both ways, in blocks, give the gradients of the dense product."""
     frustum = Frustum(360, 16)
     with open_bank(build_bank(PoseGrid.parse("2x2x32"), frustum, 4, cache=tmp_path).path) as bank:
-        some = in_float64(bank).within(heading_prior_deg=(0.0, 105.0))
+        some = in_float64(bank).within(heading_prior=(0.0, 105.0))
         masks = torch.from_numpy(all_masks(bank))[some.grid_index]
     ground, aerial, attention = features(16, dtype=torch.float64)
     inputs = [x.requires_grad_() for x in (ground, aerial[..., :4, :4], attention[..., :4, :4])]

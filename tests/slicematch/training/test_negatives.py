@@ -53,11 +53,11 @@ def test_known_and_bounded_headings_are_kept():
         heading = 90.0 if prior else 0.0
         poses = grid.poses()[grid.poses()[:, 2] == heading]
         for candidates in jittered_candidates(
-            poses, grid, Domain(heading_prior_deg=prior), frustum, 4, seed=0
+            poses, grid, Domain(heading_prior=prior), frustum, 4, seed=0
         ):
             assert (candidates.poses[:, 2] == heading).all()
     poses = GRID.poses()[GRID.poses()[:, 2] == 0.0]
-    domain = Domain(heading_prior_deg=(0.0, 10.0))
+    domain = Domain(heading_prior=(0.0, 10.0))
     turns = [
         turn(some.poses[0, 2]) for some in jittered_candidates(poses, GRID, domain, frustum, 4, 0)
     ]
@@ -76,7 +76,7 @@ def test_near_poses_lie_within_a_step_of_the_truth_and_in_the_domain():
     assert (np.abs(away) <= steps + 1e-9).all()
     assert (np.abs(away[0]).max(axis=0) > 0.95 * steps).all()
 
-    prior = Domain(heading_prior_deg=(0.0, 0.0), place_prior=(0.5, 0.5, 0.1))
+    prior = Domain(heading_prior=(0.0, 0.0), place_prior=(0.5, 0.5, 0.1))
     poses = near_poses(truths[:1], 50, GRID, prior)[0].numpy()
     assert (poses[:, 2] == 0).all()
     assert np.hypot(*(poses[:, :2] - 0.5).T).max() <= 0.1 + 1e-9

@@ -125,7 +125,7 @@ def test_eight_pairs_of_kitti(make_kitti_tree, slicemask, tmp_path):
         "--test-grid=5x5x32", "--epochs=100", *SMALL,
     )  # fmt: skip
     result = json.loads(slicemask("evaluate", run, "--split", "cross-area", "--json"))
-    assert result["heading_prior_deg"] == [90.0, 10.0]
+    assert result["heading_prior"] == [90.0, 10.0]
     check_eight_of_eight(result, (0.48 / 5, 0.48 / 5, 360 / 32))
 
 

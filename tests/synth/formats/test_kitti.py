@@ -6,10 +6,10 @@ import shutil
 import numpy as np
 import pytest
 from PIL import Image
+from slicematch.data.dataset import PoseDataset
 from slicematch.data.kitti import (
     METRES_PER_PIXEL,
     KittiConfig,
-    KittiDataset,
     cut_tile,
     read_heading,
     read_hfov_deg,
@@ -64,10 +64,10 @@ def test_calibration_gives_the_cameras_field_of_view(kitti_tree):
     assert read_hfov_deg(path) == pytest.approx(2 * np.degrees(np.arctan(621 / 721.5377)))
 
 
-@pytest.mark.parametrize("test", ["test1", "test2"])
-def test_loader_reads_the_tree(kitti_tree, test):
-    config = KittiConfig(root=kitti_tree, test=test, heading_prior_deg=10.0)
-    dataset = KittiDataset(config, "test")
+@pytest.mark.parametrize(("split", "test"), [("same-area", "test1"), ("cross-area", "test2")])
+def test_loader_reads_the_tree(kitti_tree, split, test):
+    config = KittiConfig(root=kitti_tree, split=split, heading_half_width_deg=10.0)
+    dataset = PoseDataset(config, "test")
     sample = dataset[0]
     assert sample["ground"].shape == (3, 256, 1024)
     assert sample["aerial"].shape == (3, 512, 512)

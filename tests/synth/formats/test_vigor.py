@@ -6,7 +6,8 @@ import re
 import numpy as np
 import pytest
 from PIL import Image
-from slicematch.data.vigor import METRES_PER_PIXEL, VigorConfig, VigorDataset, read_labels
+from slicematch.data.dataset import PoseDataset
+from slicematch.data.vigor import METRES_PER_PIXEL, VigorConfig, read_labels
 
 from slicemask.errors import SpecError, SynthError
 from slicemask.synth import generate_vigor
@@ -91,7 +92,7 @@ def test_labels_agree_with_latitude_and_longitude(vigor_tree, city):
 
 def test_loader_reads_the_tree_with_exact_poses(vigor_tree):
     config = VigorConfig(root=vigor_tree, cities=NAMES, validation_fraction=0.0)
-    dataset = VigorDataset(config, "test")
+    dataset = PoseDataset(config, "test")
     assert dataset.left_out == 0
     assert len(dataset) == 4
     plans = {CITIES[k].name: plan_city(VigorSpec(3, k, 5, (256, 128), 160)) for k in (0, 1)}
@@ -113,8 +114,8 @@ def test_loader_reads_the_tree_with_exact_poses(vigor_tree):
 
 def test_cross_area_split_has_a_city_on_either_side(vigor_tree):
     config = VigorConfig(root=vigor_tree, split="cross-area", cities=NAMES, validation_fraction=0.2)
-    assert {name.split("/")[0] for name in VigorDataset(config, "train").names} == {"NewYork"}
-    assert {name.split("/")[0] for name in VigorDataset(config, "test").names} == {"SanFrancisco"}
+    assert {name.split("/")[0] for name in PoseDataset(config, "train").names} == {"NewYork"}
+    assert {name.split("/")[0] for name in PoseDataset(config, "test").names} == {"SanFrancisco"}
 
 
 def test_poses_spread_over_the_central_part_as_in_the_real_labels():

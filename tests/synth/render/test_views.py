@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from slicematch.data.images import turn_panorama
+from slicematch.data.panoramas import turn_panorama
 
 from slicemask import Frustum, slice_masks
 from slicemask.synth.layout.elements import Kind, Landmark

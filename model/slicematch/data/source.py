@@ -1,0 +1,211 @@
+"""What a data set declares: its settings with their defaults, and the source of its samples."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from slicemask.geometry.frustum import Projection
+from slicematch.data.errors import DatasetError
+
+Part = Literal["train", "validation", "test"]
+Split = Literal["same-area", "cross-area"]
+Triple = tuple[float, float, float]
+
+# Of ImageNet's images, red, green and blue in [0, 1]: what most backbones were trained with.
+IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
+IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataConfig:
+    """Settings that every data set has.
+
+    Parameters
+    ----------
+    root : path
+        The folder of the data tree.
+    split : {"same-area", "cross-area"}
+        Whether the test part lies where the training part does, or elsewhere.
+    heading_half_width_deg : float or None
+        How far the heading may lie from `prior_centre_deg`, to either side: 0 is a known heading
+        ("aligned"), None (the default) an unknown one. From 0 to 180.
+    ground_size : (height, width)
+        Of the ground image as returned, in pixels.
+    aerial_size : int
+        Side of the aerial image as returned, in pixels.
+    image_mean, image_std : (red, green, blue)
+        Taken out of the images, whose values are in [0, 1]; ImageNet's by default.
+    validation_fraction : float
+        The part of the training file that is set aside for validation; 0 trains on everything and
+        leaves no validation part. Ours: 0.1.
+    augment : bool
+        Rotate, mirror and recolour the samples of the training part: see
+        `slicematch.data.dataset.PoseDataset`. Ours; the paper does not.
+    extent : (u0, v0, u1, v1) or None
+        The part of the tile where candidates stand; None for `default_extent`.
+    place_prior : (u, v, radius) or None
+        Candidates farther than the radius from (u, v) are left out. Neither leaves a sample out.
+    seed : int
+        Of the validation part and of everything that is drawn at random.
+
+    Raises
+    ------
+    DatasetError
+        If a value is out of its range.
+
+    Attributes
+    ----------
+    projection : {"equirectangular", "pinhole"}
+        Of the ground images.
+    hfov_deg : float or None
+        Horizontal field of view of all ground images; None if it is read from the data.
+    ground_aspect : float
+        Width over height of the ground images as they are.
+    prior_centre_deg : float
+        The heading that a heading prior is centred on, degrees clockwise from north.
+    train_grid, test_grid : str
+        Candidate poses, ROWSxCOLUMNSxHEADINGS.
+    """
+
+    projection: ClassVar[Projection]
+    hfov_deg: ClassVar[float | None] = None
+    ground_aspect: ClassVar[float]
+    prior_centre_deg: ClassVar[float]
+    train_grid: ClassVar[str]
+    test_grid: ClassVar[str]
+
+    root: str | Path
+    split: Split = "same-area"
+    heading_half_width_deg: float | None = None
+    ground_size: tuple[int, int]
+    aerial_size: int = 512
+    image_mean: Triple = IMAGENET_MEAN
+    image_std: Triple = IMAGENET_STD
+    validation_fraction: float = 0.1
+    augment: bool = False
+    extent: tuple[float, float, float, float] | None = None
+    place_prior: Triple | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ground_size", tuple(self.ground_size))
+        size = self.ground_size
+        half_width = self.heading_half_width_deg
+        fraction = self.validation_fraction
+        expected = {
+            "split": (self.split in ("same-area", "cross-area"), "one of same-area, cross-area"),
+            "heading_half_width_deg": (
+                half_width is None
+                or (isinstance(half_width, int | float) and 0 <= half_width <= 180),
+                "None or a number from 0 to 180",
+            ),
+            "ground_size": (
+                len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size),
+                "(height, width), two whole numbers of at least 1",
+            ),
+            "aerial_size": (
+                isinstance(self.aerial_size, int) and self.aerial_size > 0,
+                "a whole number of at least 1",
+            ),
+            "image_mean": (len(self.image_mean) == 3, "three numbers: red, green, blue"),
+            "image_std": (
+                len(self.image_std) == 3 and min(self.image_std) > 0,
+                "three numbers greater than 0: red, green, blue",
+            ),
+            "validation_fraction": (
+                isinstance(fraction, int | float) and 0 <= fraction < 1,
+                "a number of at least 0 and below 1",
+            ),
+            "augment": (isinstance(self.augment, bool), "true or false"),
+            "seed": (isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0 up"),
+        }
+        for name, (holds, what) in expected.items():
+            if not holds:
+                raise DatasetError(f"{name} is {getattr(self, name)!r}; it must be {what}")
+        if self.extent is None:
+            object.__setattr__(self, "extent", self.default_extent())
+
+    @classmethod
+    def own_settings(cls) -> list[str]:
+        """The names of the settings that this data set has and others need not have."""
+        shared = {field.name for field in fields(DataConfig)}
+        return [field.name for field in fields(cls) if field.name not in shared]
+
+    @property
+    def heading_prior(self) -> tuple[float, float] | None:
+        """Headings lie within the second number of degrees of the first; None if they may be any.
+
+        Degrees clockwise from north.
+        """
+        half_width = self.heading_half_width_deg
+        if half_width is None or half_width == 180:
+            return None
+        return self.prior_centre_deg, float(half_width)
+
+    def default_extent(self) -> tuple[float, float, float, float]:
+        """The part of the tile where cameras may stand: u0, v0, u1, v1."""
+        return 0.0, 0.0, 1.0, 1.0
+
+    def open(self, part: Part) -> "Source":
+        """Open the samples of a part.
+
+        Raises
+        ------
+        DatasetError
+            If a file that lists or describes them is missing or invalid.
+        """
+        raise NotImplementedError
+
+    def choose(self, part: Part, count: int) -> NDArray[np.intp]:
+        """Which of a file's `count` samples a part takes: sorted indices.
+
+        Training and validation share the training file; the test part takes all of its own.
+        """
+        if part == "test":
+            return np.arange(count)
+        order = np.random.default_rng(self.seed).permutation(count)
+        held_out = round(count * self.validation_fraction)
+        return np.sort(order[:held_out] if part == "validation" else order[held_out:])
+
+
+class Source(ABC):
+    """The samples of one part of a data set, as they are on disk.
+
+    What is random in a sample is drawn from the generator handed in, which is the same for the
+    pose and for the images of a sample.
+
+    Attributes
+    ----------
+    names : list of str
+        One for each sample. A sample is its place in the list: names may repeat.
+    tile_metres : float64 [n]
+        Side of each aerial image on the ground, in metres.
+    hfov_deg : float
+        Horizontal field of view of the ground images.
+    left_out : int
+        Labels that give no sample because the camera stands off its tile.
+    """
+
+    names: list[str]
+    tile_metres: NDArray[np.float64]
+    hfov_deg: float
+    left_out: int = 0
+
+    @abstractmethod
+    def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
+        """The true pose of a sample: float64 [3], u, v, heading_deg in the aerial frame."""
+
+    @abstractmethod
+    def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
+        """The ground and the aerial image of a sample, RGB, of the sizes in the settings.
+
+        Raises
+        ------
+        SampleError, ImageError
+            If a file of the sample is unusable.
+        """

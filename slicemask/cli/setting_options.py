@@ -1,0 +1,144 @@
+"""Options of a command, made from the settings of a training run.
+
+Name, type, choices, default and help of each are those of the settings' own fields and docstring.
+"""
+
+import re
+import typing
+from collections.abc import Callable
+from dataclasses import MISSING, Field, fields
+from typing import Any, Literal
+
+import click
+from slicematch.data import DATA_SETS, config_class
+from slicematch.runs.config import TrainConfig
+from slicematch.runs.settings import documentation
+
+from slicemask.cli.options import Numbers
+
+
+def setting_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add an option for each setting of a run and for each data set's own.
+
+    None has a default of its own: what is not given comes from a file, the run, or the settings'
+    defaults, which the help shows.
+    """
+    for option in reversed(_options()):
+        command = option(command)
+    return command
+
+
+def given_settings(options: dict[str, Any]) -> dict[str, Any]:
+    """The settings that were given as options, by the settings' names."""
+    given = {name: value for name, value in options.items() if value is not None}
+    return {name: None if value is NONE else value for name, value in given.items()}
+
+
+class _None:
+    """Stands for a setting that was given as None, since None is an option that was not given."""
+
+
+NONE = _None()
+
+
+class _OrNone(click.ParamType):
+    """A number, or a word that stands for None."""
+
+    def __init__(self, kind: click.ParamType, word: str) -> None:
+        self._kind = kind
+        self._word = word
+        self.name = f"{kind.name}|{word}"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if str(value).lower() == self._word.lower():
+            return NONE
+        try:
+            return self._kind.convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(f"{value!r} is neither a {self._kind.name} nor {self._word}", param, ctx)
+
+
+class _Texts(click.ParamType):
+    """Texts separated by commas."""
+
+    name = "text,..."
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        return value.split(",") if isinstance(value, str) else value
+
+
+def _options() -> list[Callable[..., Any]]:
+    classes = {name: config_class(name) for name in DATA_SETS}
+    documented = documentation(TrainConfig)
+    options = []
+    for setting in fields(TrainConfig):
+        by_data = {name: getattr(kind, setting.name, None) for name, kind in classes.items()}
+        options.append(_option(setting, *documented[setting.name], by_data))
+        if setting.name != "data_settings":
+            continue
+        for data, kind in classes.items():
+            own = documentation(kind)
+            options += [
+                _option(field, own[field.name][0], f"{data}: {own[field.name][1]}", {})
+                for field in fields(kind)
+                if field.name in kind.own_settings()
+            ]
+    return [option for option in options if option is not None]
+
+
+def _option(
+    setting: Field[Any], form: str, text: str, by_data: dict[str, Any]
+) -> Callable[..., Any] | None:
+    """The option of a setting, or None if it has none."""
+    name = setting.metadata.get("option", setting.name.replace("_", "-"))
+    if name is None:
+        return None
+    kind: Any = setting.type
+    if type(None) in typing.get_args(kind):
+        kind = typing.get_args(kind)[0]
+    text = text.replace("`", "")
+    # What None stands for is the default of an option, and nothing that anyone types.
+    none = re.search(r"[;,] None for ([^.:]*)", text)
+    if none:
+        text = text[: none.start()] + text[none.end() :]
+    text += _default(setting, by_data, none[1] if none else None)
+    if kind is bool:
+        return click.option(f"--{name}/--no-{name}", setting.name, default=None, help=text)
+    return click.option(f"--{name}", setting.name, type=_type(setting, kind, form), help=text)
+
+
+def _type(setting: Field[Any], kind: Any, form: str) -> Any:
+    if setting.name == "data":
+        return click.Choice(list(DATA_SETS))
+    if typing.get_origin(kind) is Literal:
+        return click.Choice(typing.get_args(kind))
+    if typing.get_origin(kind) is tuple:
+        number, *rest = typing.get_args(kind)
+        if rest == [Ellipsis]:
+            return _Texts()
+        return Numbers(form[1 : form.index(")")].replace(" ", ""), number)
+    if "none" in setting.metadata:
+        return _OrNone(click.types.convert_type(kind), setting.metadata["none"])
+    return kind
+
+
+def _default(setting: Field[Any], by_data: dict[str, Any], none: str | None) -> str:
+    """What the help says of a setting's default."""
+    if setting.default is MISSING:
+        return "  [required, here or in --config]"
+    if setting.default is not None:
+        return f"  [default: {_shown(setting.default)}]"
+    if "none" in setting.metadata:
+        return f"  [default: {setting.metadata['none']}]"
+    values = {data: value for data, value in by_data.items() if value is not None}
+    if not values:
+        return f"  [default: {none}]" if none else ""
+    return f"  [default: {', '.join(f'{_shown(v)} for {data}' for data, v in values.items())}]"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return ",".join(map(_shown, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
