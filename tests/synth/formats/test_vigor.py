@@ -69,7 +69,7 @@ def test_labels_lie_under_the_names_that_other_loaders_open(vigor_tree, city, fo
 
 def test_original_labels_are_the_corrected_ones(vigor_tree):
     corrected, original = (
-        VigorDataset(VigorConfig(root=vigor_tree, cities=NAMES, labels=labels), "test")
+        PoseDataset(VigorConfig(root=vigor_tree, cities=NAMES, labels=labels), "test")
         for labels in ("corrected", "original")
     )
     assert len(corrected) == len(original) > 0
