@@ -14,7 +14,6 @@ import shapely
 from numpy.typing import NDArray
 
 from slicemask.geometry.azimuths import direction
-from slicemask.geometry.ranges import BEYOND
 
 Array = NDArray[np.float64]
 
@@ -110,14 +109,13 @@ def banded_fractions(
             crossed = (covered > 0.0) & (nearest < range_) & (farthest > range_)
             which, row, column = np.nonzero(crossed)
             cell = row * cells + column
-            polygons: NDArray[np.object_]
             if headings is None:
                 # A slice's part in a cell, cut off by the circle.
-                whats = _arc_polygons(*camera, *edges, range_, which, cell, cells)
+                polygons = _arc_polygons(*camera, *edges, range_, which, cell, cells)
             else:
-                whats = _depth_polygons(*camera, *edges, headings, range_)[which]
+                polygons = _depth_polygons(*camera, *edges, headings, range_)[which]
             within[which, row, column] = np.minimum(
-                _shares(whats, cell, cells), covered[which, row, column]
+                _shares(polygons, cell, cells), covered[which, row, column]
             )
             fractions[some, band] += within
             fractions[some, band + 1] -= within
@@ -131,8 +129,9 @@ def _batches(count: int, cells: int) -> Iterator[slice]:
 
 
 def _shares(polygons: NDArray[np.object_], cell: NDArray[np.int64], cells: int) -> Array:
-    """Share of cells [p] that lies in polygons [p]: paired up, intersected in one vectorised call."""
-    # Cells are shared by many slices: their boxes are made once.
+    """Share of each of the cells [p] that lies in its polygon [p]."""
+    # Cells are shared by many slices: their boxes are made once. All pairs are intersected in one
+    # vectorised call.
     some_cells, at = np.unique(cell, return_inverse=True)
     boxes = cell_boxes(some_cells, cells)[at]
     areas = shapely.area(shapely.intersection(polygons, boxes))

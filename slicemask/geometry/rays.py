@@ -29,8 +29,10 @@ from slicemask.geometry.azimuths import direction
 from slicemask.geometry.ranges import (
     BEYOND,
     Cut,
+    clip_between,
     cut_by_circle,
     cut_by_plane,
+    kept_apart,
     window_cells,
 )
 
@@ -185,9 +187,7 @@ class _Window:
         return (self.row[:, None] + steps) / self.cells, (self.column[:, None] + steps) / self.cells
 
 
-def _fractions(
-    sectors: _Sectors, window: _Window, widest_deg: float | None, xp: ModuleType
-) -> Any:
+def _fractions(sectors: _Sectors, window: _Window, widest_deg: float | None, xp: ModuleType) -> Any:
     """`sector_fractions` of some cells: [B, size, size]."""
     left_deg, right_deg = sectors.left_deg, sectors.right_deg
     # A sector of 180 degrees or more can cut a line twice: cut it into narrower ones.
@@ -228,7 +228,8 @@ def _narrow(sectors: _Sectors, window: _Window, widest_deg: float, xp: ModuleTyp
     if sectors.range is not None:
         cut = _cut(sectors, y, x, ((lu, lv), (ru, rv)), widest_deg, float(cells * cells), xp)
         nearest, farthest = origin[:, None] + cut.low, origin[:, None] + cut.high
-        low, high = (xp.clip(bound, nearest, farthest) for bound in (low, high))
+        low, high = (clip_between(bound, nearest, farthest, xp) for bound in (low, high))
+        high = kept_apart(low, high, xp)
         outlines = [
             (_columns(part.along), _rows(part.low, xp), _rows(part.high, xp))
             for part in cut.outlines
@@ -327,7 +328,7 @@ def _areas(
     """Areas of the cells within sectors, over that of a cell, [L, b, L].
 
     ``rows`` and ``columns`` are the factors, lows and highs of the horizontal lines [L + 1, b, 1]
-    and the vertical ones [1, b, L + 1]; ``outlines`` are the parts of a range's outline (`Outline`).
+    and the vertical ones [1, b, L + 1]; ``outlines`` are the parts of a range's outline.
     """
     g = _fluxes(workspace.along_row, rows, workspace.scratch_a, xp)
     g += _fluxes(workspace.along_column, columns, workspace.scratch_b, xp)
