@@ -79,8 +79,8 @@ def test_a_run_leaves_what_its_folder_promises(config, tmp_path, cache):
     checkpoint = torch.load(run / "checkpoints" / "best.ckpt", weights_only=True)
     assert checkpoint["epoch"] == best
     assert sorted(path.name for path in (run / "heat_maps").iterdir()) == [
-        "epoch_0001.png",
-        "epoch_0003.png",
+        "epoch_0002.png",
+        "epoch_0004.png",
     ]
     assert list((run / "tensorboard").glob("events.out.tfevents.*"))
 
@@ -151,7 +151,7 @@ def test_a_killed_run_resumes_with_the_same_losses(
     whole = train(config, tmp_path / "whole", cache=cache, progress=False)
 
     # The kill comes in the middle of an epoch.
-    from slicematch.training.train import TrainingModule
+    from slicematch.training.module import TrainingModule
 
     step = TrainingModule.training_step
 
@@ -203,7 +203,7 @@ def test_a_run_that_diverges_stops_and_keeps_the_epochs_before(
     assert not (tmp_path / "a" / "calibration.json").exists()
 
     # In the second epoch, the first one's checkpoints stay.
-    from slicematch.training.train import TrainingModule
+    from slicematch.training.module import TrainingModule
 
     step = TrainingModule.training_step
 
