@@ -144,7 +144,7 @@ class _HeatMapExample(lightning.Callback):
         sample = self.dataset[0]
         if sample is None:  # it could not be read, and is written down
             return
-        module = cast(TrainingModule, pl_module)
+        module, settings = cast(TrainingModule, pl_module), self.dataset.config
         candidates, model = module.test_candidates, module.model
         model.eval()
         with torch.no_grad():
@@ -152,7 +152,7 @@ class _HeatMapExample(lightning.Callback):
             scores = model(*images, candidates)
         model.train()
         figure = draw_estimate(
-            denormalise(sample["aerial"]),
+            denormalise(sample["aerial"], settings.image_mean, settings.image_std),
             heat_map(candidates.scatter_to_grid(scores))[0].cpu().numpy(),
             self.grid,
             candidates.poses[int(scores.argmax())],

@@ -11,13 +11,16 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from slicemask import PoseGrid, build_bank
 from slicemask.files import check_folder
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 from slicematch.data.dataset import BadSampleLog, PoseDataset
-from slicematch.errors import RunError
+from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import calibrate
 from slicematch.localization.localizer import load_candidates
+from slicematch.network.encoders import encoder_normalisation
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import RunFolder, build_model, load_weights, read_checkpoint
@@ -42,6 +45,8 @@ _MAY_CHANGE_ON_RESUME = (
     "accelerator",
     "heat_map_every",
     "max_bad_samples",
+    "tile_side_m",  # which runs of before do not say, and the data do
+    "weights_source",
 )
 
 
@@ -94,17 +99,20 @@ def train(
             "another folder with --out"
         )
     lightning.seed_everything(config.seed, workers=True, verbose=False)
+    last = run.checkpoint("last")
+    resuming = resume and last.is_file()
+    config = _with_normalisation(config, run.load_config() if resuming else None)
     training = config.dataset("train")
     validation = config.dataset("validation") if config.validation_fraction > 0 else None
     datasets = [training] if validation is None else [training, validation]
-    if config.hfov_deg is None:
-        config = replace(config, hfov_deg=training.hfov_deg)
-    last = run.checkpoint("last")
-    resuming = resume and last.is_file()
+    config = _with_facts_of_the_data(config, training)
     if resuming:
         _check_same(run, config)
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
     model = build_model(config, weights="none" if resuming else None)
+    if not resuming:
+        config = replace(config, weights_source=model.ground_encoder.weights_source)
+    _check_batches(config, model, len(training))
     first_epoch = _finished_epoch(last, model) + 1 if resuming else 0
     train_candidates, test_candidates = (
         _candidates(config, config.grid(name), model.cells, cache)
@@ -119,6 +127,8 @@ def train(
     if is_first_process():
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
+        if config.weights_source is not None and not resuming:
+            log.info("the encoders start from the weights %s", config.weights_source)
         _warn_of_places_outside(config, datasets)
     bad_sample_log = BadSampleLog(
         run.bad_samples_file, config.max_bad_samples, keep=resuming or not is_first_process()
@@ -159,9 +169,46 @@ def is_first_process() -> bool:
     return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
+def _with_normalisation(config: TrainConfig, before: TrainConfig | None) -> TrainConfig:
+    """The settings with the images' mean and deviation: the run's own, or its encoder's."""
+    if before is not None:
+        mean, std = before.normalisation()
+    else:
+        mean, std = encoder_normalisation(config.encoder)
+    config = replace(
+        config, image_mean=config.image_mean or mean, image_std=config.image_std or std
+    )
+    if before is not None and config.weights_source is None:
+        config = replace(config, weights_source=before.weights_source)
+    return config
+
+
+def _with_facts_of_the_data(config: TrainConfig, training: PoseDataset) -> TrainConfig:
+    """The settings with what only the data say: field of view and size of the tiles."""
+    return replace(
+        config,
+        hfov_deg=training.hfov_deg if config.hfov_deg is None else config.hfov_deg,
+        tile_side_m=float(np.median(training.tile_metres)),
+    )
+
+
+def _check_batches(config: TrainConfig, model: SliceMatch, samples: int) -> None:
+    """Refuse a batch that is too small for the encoders, which would end the first epoch."""
+    encoders = model.ground_encoder, model.aerial_encoder
+    needed = max(encoder.smallest_batch for encoder in encoders)
+    each = -(-samples // config.devices)  # the last ones are repeated
+    smallest = min(config.batch_size, each % config.batch_size or config.batch_size)
+    if smallest < needed:
+        raise ConfigError(
+            f"batch_size is {config.batch_size}, and of {each} samples a batch of {smallest} is "
+            f"left; encoder {config.encoder!r} trains on images this small in batches of {needed} "
+            "or more, for its batch normalisation; choose another batch_size or larger images"
+        )
+
+
 def _check_same(run: RunFolder, config: TrainConfig) -> None:
     """Refuse to resume a run with other settings than its own."""
-    before, now = run.load_config().flat(), config.flat()
+    before, now = _comparable(run.load_config()).flat(), config.flat()
     # A schedule that comes down at the end is laid out for a number of epochs.
     fixed = {"epochs"} if config.schedule != "constant" else set()
     for name, value in now.items():
@@ -170,6 +217,12 @@ def _check_same(run: RunFolder, config: TrainConfig) -> None:
                 f"{run.path}: was trained with {name} {before[name]!r}, and {value!r} is asked "
                 "for; resume with the run's own settings, or train into another folder"
             )
+
+
+def _comparable(config: TrainConfig) -> TrainConfig:
+    """A run's settings with what runs of before do not say of themselves."""
+    mean, std = config.normalisation()
+    return replace(config, image_mean=mean, image_std=std)
 
 
 def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
