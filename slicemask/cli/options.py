@@ -27,6 +27,25 @@ class Numbers(click.ParamType):
         return numbers
 
 
+class Ranges(click.ParamType):
+    """Increasing numbers separated by commas, as many as there are, such as ``0.08,0.17,0.33``."""
+
+    name = "r1,r2,..."
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Read a value that was typed, or fail with what was expected."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return tuple(float(part) for part in value.split(",")) if value else ()
+        except ValueError:
+            self.fail(
+                f"{value!r} is not a list of numbers separated by commas, such as 0.08,0.17,0.33",
+                param,
+                ctx,
+            )
+
+
 class ImageSize(click.ParamType):
     """Columns and rows of an image, such as 1024x512."""
 
@@ -52,7 +71,7 @@ cache_option = click.option(
 
 
 def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --hfov, --slices and --projection."""
+    """Add --hfov, --slices, --projection and --bands."""
     for option in reversed(
         (
             click.option(
@@ -72,6 +91,13 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 default="equirectangular",
                 show_default=True,
                 help="Equal azimuth ranges, or equal widths in a pinhole image.",
+            ),
+            click.option(
+                "--bands",
+                type=Ranges(),
+                default="",
+                help="Cut each slice into bands of range at these distances (pinhole: depths), in "
+                "shares of the tile's side, such as 0.08,0.17,0.33.  [default: no bands]",
             ),
         )
     ):

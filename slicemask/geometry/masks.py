@@ -113,12 +113,7 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     )
     fractions[fractions < NEGLIGIBLE] = 0.0
     fractions[fractions > 1.0 - NEGLIGIBLE] = 1.0
-    return fractions.reshape(_shape(len(checked), frustum, cells))
-
-
-def _shape(poses: int, frustum: Frustum, cells: int) -> tuple[int, ...]:
-    bands = (frustum.band_count,) if frustum.bands else ()
-    return (poses, frustum.slices, *bands, cells, cells)
+    return fractions.reshape(len(checked), *frustum.mask_axes, cells, cells)
 
 
 def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
@@ -156,4 +151,5 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
         u, v, left, right, heading_deg, cells, widest_deg=widest_deg
     )
     fractions = xp.where(fractions < NEGLIGIBLE, xp.zeros_like(fractions), fractions)
-    return xp.astype(xp.reshape(fractions, _shape(poses.shape[0], frustum, cells)), dtype)
+    shape = (poses.shape[0], *frustum.mask_axes, cells, cells)
+    return xp.astype(xp.reshape(fractions, shape), dtype)
