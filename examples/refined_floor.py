@@ -16,9 +16,12 @@ import click
 import numpy as np
 import torch
 from slicematch.evaluation.metrics import PoseErrors, pose_errors
-from slicematch.localization.refinement import Domain, Refine, Similarity, find_modes, refine_modes
+from slicematch.localization.modes import find_modes
+from slicematch.localization.refinement import Refine, refine_modes
 from slicematch.network.aggregation import aerial_descriptors
+from slicematch.priors import PosePrior
 from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.off_grid import PairScorer
 from slicematch.scoring.scores import score_candidates
 from torch.nn import functional as F  # noqa: N812
 
@@ -76,12 +79,12 @@ def measure(
         ground = aerial_descriptors(features, attention, masks[None])[:, 0]
         scores = score_candidates(ground, features, attention, candidates)
         modes, _ = find_modes(candidates.scatter_to_grid(scores)[0].numpy(), grid)
-        similarity = Similarity(ground[0], features[0], attention[0], frustum)
+        scorer = PairScorer(ground[0], features[0], attention[0], frustum)
         for how, found in answers.items():
             poses = modes
             if how != "none":
-                domain = Domain(grid.extent)
-                poses, _ = refine_modes(similarity, modes, grid, domain, how, tile_metres)
+                prior = PosePrior(grid.extent)
+                poses, _ = refine_modes(scorer, modes, grid, prior, how, tile_metres)
             found.append(poses[0])
     return {how: pose_errors(found, truths, tile_metres) for how, found in answers.items()}
 

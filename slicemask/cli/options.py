@@ -7,7 +7,7 @@ import click
 
 
 class Numbers(click.ParamType):
-    """Numbers parted by commas, such as ``0.5,0.5,90``."""
+    """Numbers separated by commas, such as ``0.5,0.5,90``."""
 
     def __init__(self, names: str, kind: type = float):
         self.name = names
@@ -25,6 +25,21 @@ class Numbers(click.ParamType):
         if len(numbers) != len(self.name.split(",")):
             self.fail(f"{value!r} is not {self.name}", param, ctx)
         return numbers
+
+
+class NumberList(click.ParamType):
+    """Any count of numbers separated by commas, such as ``1,3,5``."""
+
+    name = "number,..."
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Read a value that was typed, or fail with what was expected."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return tuple(float(part) for part in value.split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not numbers separated by commas, such as 1,3,5", param, ctx)
 
 
 class ImageSize(click.ParamType):

@@ -42,6 +42,21 @@ def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None] | 
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+@contextmanager
+def status_line(what: str) -> Iterator[Callable[[str], None] | None]:
+    """A line that says what is being done, with a spinner, on a terminal; None elsewhere.
+
+    It stands there at once, and is removed at the end.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(f"{what} ...") as status:
+        yield lambda text: status.update(f"{text} ...")
+
+
 def readable_size(count: int) -> str:
     """Bytes as people read them, such as 4.6 MB."""
     from rich.filesize import decimal

@@ -10,7 +10,7 @@ from slicematch.data.dataset import PoseDataset
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import denormalise
 from slicematch.data.vigor import CITIES, VigorConfig, read_labels
-from slicematch.evaluation.metrics import candidate_floor
+from slicematch.evaluation.metrics import oracle_error
 from torch.utils.data import DataLoader
 
 from slicemask import PoseGrid
@@ -440,7 +440,7 @@ def test_the_real_chicago_labels_reach_beyond_the_central_quarter(real_chicago):
 def test_the_floor_of_grids_on_real_labels(real_chicago, grid, mean, median):
     """Near the figures for three cities; a tile of Chicago is about as large as theirs."""
     dataset = open_vigor(real_chicago, "test", cities=("Chicago",))
-    floor = candidate_floor(PoseGrid.parse(grid).poses(), dataset.poses(), dataset.tile_metres)
+    floor = oracle_error(PoseGrid.parse(grid).poses(), dataset.poses(), dataset.tile_metres)
     summary = floor.summary()
     assert summary["place_mean_m"] == pytest.approx(mean, rel=0.05)
     assert summary["place_median_m"] == pytest.approx(median, rel=0.05)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from slicematch.evaluation.metrics import candidate_floor, heading_error_deg, pose_errors, recall
+from slicematch.evaluation.metrics import heading_error_deg, oracle_error, pose_errors, recall
 
 from slicemask import PoseGrid
 from slicemask.errors import PoseError
@@ -90,7 +90,7 @@ def test_the_floor_is_the_least_error_of_any_candidate(grid):
     truths[:3, 2] = 0.0, 359.999, 180.0
     tile_metres = rng.uniform(50, 80, 50)
     candidates = rng.permutation(grid.poses())
-    floor = candidate_floor(candidates, truths, tile_metres)
+    floor = oracle_error(candidates, truths, tile_metres)
     every = [pose_errors(np.tile(k, (50, 1)), truths, tile_metres) for k in candidates]
     assert floor.place_m == pytest.approx(np.min([e.place_m for e in every], axis=0))
     assert floor.heading_deg == pytest.approx(np.min([e.heading_deg for e in every], axis=0))
@@ -99,7 +99,7 @@ def test_the_floor_is_the_least_error_of_any_candidate(grid):
 def test_the_floor_of_candidates_within_a_prior():
     """Headings from 350 to 10 degrees, in whatever order."""
     candidates = [[0.5, 0.5, h] for h in (5, 350, 0, 355, 10)]
-    floor = candidate_floor(candidates, [[0.5, 0.5, h] for h in (357, 180, 340, 12)], 1.0)
+    floor = oracle_error(candidates, [[0.5, 0.5, h] for h in (357, 180, 340, 12)], 1.0)
     assert floor.heading_deg.tolist() == [2, 170, 10, 2]
     assert floor.summary() == {
         "place_mean_m": 0.0,

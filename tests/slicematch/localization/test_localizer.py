@@ -9,18 +9,20 @@ import pytest
 import torch
 from click.testing import CliRunner
 from PIL import Image
-from slicemask.errors import ImageError
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.evaluate import evaluate
 from slicematch.evaluation.timing import time_run
-from slicematch.localization.localizer import Estimate, Localizer, Mode
-from slicematch.localization.refinement import DEFAULT, near
+from slicematch.localization.estimate import Estimate
+from slicematch.localization.localizer import Localizer
+from slicematch.localization.modes import Mode, within_reach
+from slicematch.localization.refinement import DEFAULT
 from slicematch.runs.config import TrainConfig
 from slicematch.scoring.scores import score_masks
 from slicematch.training.train import train
 
 from slicemask import Frustum, PoseGrid, build_bank, slice_masks
 from slicemask.cli.main import main
+from slicemask.errors import ImageError
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +226,7 @@ def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localize
     grid = localizer.localize(*images, refine="none")
     mean = localizer.localize(*images, refine="mean")
     poses = grid.grid.poses()
-    some = near(grid.pose, poses, grid.grid)
+    some = within_reach(grid.pose, poses, grid.grid)
     weights = grid.probabilities.ravel()[some]
     expected = weights @ poses[some, :2] / weights.sum()
     np.testing.assert_allclose(mean.pose[:2], expected, atol=1e-12)
@@ -248,7 +250,7 @@ def test_modes_come_best_first_and_apart(localizer, refine):
             assert scores == sorted(scores, reverse=True)
         poses = np.array([mode.pose for mode in estimate.modes])
         for m, pose in enumerate(poses):
-            assert not near(pose, np.delete(poses, m, axis=0), estimate.grid).any()
+            assert not within_reach(pose, np.delete(poses, m, axis=0), estimate.grid).any()
 
 
 @pytest.mark.parametrize("caller", [torch.no_grad, torch.inference_mode])
