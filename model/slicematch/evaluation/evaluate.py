@@ -149,25 +149,18 @@ def evaluate(
     dataset = config.dataset(part, root, split)
     if headings_deg is not None:
         dataset.use_headings(headings_deg)
-    folder = (
-        Path(out)
-        if out is not None
-        else Path(run)
-        / "evaluation"
-        / _folder_name(
-            f"{split}_{part}_{localizer.grid}_{checkpoint}",
-            {
-                "refine": (refine, refine != "none"),
-                "precision": (precision, precision != "32-true"),
-                "prior": (
-                    f"prior{heading_half_width_deg or 0:g}",
-                    heading_half_width_deg is not None,
-                ),
-                "headings": (Path(headings or "").stem, headings is not None),
-                "limit": (limit, limit is not None),
-            },
-        )
-    )
+    name = [split, part, str(localizer.grid), checkpoint]
+    if refine != "none":
+        name.append(refine)
+    if precision != "32-true":
+        name.append(precision)
+    if heading_half_width_deg is not None:
+        name.append(f"prior{heading_half_width_deg:g}")
+    if headings is not None:
+        name.append(Path(headings).stem)
+    if limit is not None:
+        name.append(str(limit))
+    folder = Path(out) if out is not None else Path(run) / "evaluation" / "_".join(name)
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(
             f"{folder}: holds results already; replace them with --overwrite, or name another "
@@ -221,10 +214,6 @@ def _use_heading_prior(localizer: Localizer, half_width_deg: float) -> None:
     # A temperature was fitted to scores under the run's own priors.
     localizer.calibrated &= config.heading_prior() == localizer.config.heading_prior()
     localizer.config = config
-
-
-def _folder_name(start: str, parts: dict[str, tuple[Any, bool]]) -> str:
-    return "_".join([start, *(str(text) for text, named in parts.values() if named)])
 
 
 def _check_tiles(dataset: PoseDataset, localizer: Localizer) -> None:

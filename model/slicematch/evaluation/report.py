@@ -107,23 +107,26 @@ class Evaluation:
             f"95 % credible region {sure['region_area']:.1%} of the tile on average; it holds "
             f"{sure['coverage']:.1%} of the true places",
         ]
-        lines += [
-            text
-            for count, text in (
-                (
-                    self.settings["labels_left_out"],
-                    "{} were left out, since the camera stands off its tile",
-                ),
-                (self.outside, "{} have a true place outside the grid's extent"),
-                (
-                    self.settings["headings_outside_the_prior"],
-                    "{} have a true heading outside the heading prior",
-                ),
-                (len(self.unreadable), "{} could not be read"),
-            )
-            if count
-            for text in [text.format("1 sample" if count == 1 else f"{count:,} samples")]
-        ]
+        for count, one, many in (
+            (
+                self.settings["labels_left_out"],
+                "label lies off its tile and was left out",
+                "labels lie off their tiles and were left out",
+            ),
+            (
+                self.outside,
+                "sample has its true place outside the grid's extent",
+                "samples have their true place outside the grid's extent",
+            ),
+            (
+                self.settings["headings_outside_the_prior"],
+                "sample has a true heading outside the heading prior",
+                "samples have a true heading outside the heading prior",
+            ),
+            (len(self.unreadable), "sample could not be read", "samples could not be read"),
+        ):
+            if count:
+                lines.append(f"{count:,} {one if count == 1 else many}")
         return "\n".join(lines)
 
     def rows(self) -> list[dict[str, Any]]:

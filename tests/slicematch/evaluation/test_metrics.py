@@ -65,10 +65,13 @@ def test_summary():
             "heading_mean_deg": 7.375,
             "heading_median_deg": 4.5,
             "lateral_recall_1m": pytest.approx(0.25),
+            "lateral_recall_3m": 0.75,
             "lateral_recall_5m": 0.75,
             "longitudinal_recall_1m": 1.0,
+            "longitudinal_recall_3m": 1.0,
             "longitudinal_recall_5m": 1.0,
             "heading_recall_1deg": 0.25,
+            "heading_recall_3deg": 0.25,
             "heading_recall_5deg": 0.5,
         }
     )
