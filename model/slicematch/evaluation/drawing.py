@@ -16,17 +16,20 @@ from slicemask import Frustum, PoseGrid
 from slicemask.plot import arrow_tip, edge_ends
 from slicematch.evaluation.metrics import OracleError, PoseErrors
 from slicematch.localization.estimate import Estimate
+from slicematch.localization.modes import Mode
 from slicematch.localization.probabilities import CONFIDENCE, ellipse
 
 _ESTIMATE, _TRUTH, _OTHER, _INK = "#e6007e", "#00b050", "#7ad7f0", "#17212b"
 _MARGIN = 0.04  # how far an arrow may reach out of the tile, whose side is 1
 # The layout, in inches: the tile's side, what is left beside it, and the bar of colours.
 _SIDE, _LEFT, _RIGHT, _BAR_GAP, _BAR_WIDTH = 5.4, 0.3, 0.95, 0.26, 0.16
-_LINE, _LEGEND, _BOTTOM = 0.21, 0.36, 0.22
+_LINE, _LEGEND, _BOTTOM = 0.21, 0.5, 0.22
 # Ground images higher than this share of their width are shown smaller.
 _MOST_HEIGHT = 0.8
 _TITLE_COLUMNS = 66
 _MOST_OPAQUE = 0.75  # of the heat map, through which the photograph is to be seen
+# Other modes that are less likely are not drawn.
+_LEAST_PROBABILITY = 0.005
 _OUTLINE = [withStroke(linewidth=2.2, foreground="#00000090")]
 
 
@@ -105,24 +108,20 @@ def draw_estimate(
     _draw_slices(axes, pose, frustum)
     if estimate is not None:
         _draw_ellipse(axes, estimate)
-        for number, mode in enumerate(estimate.modes[1:]):
-            label = "other modes" if number == 0 else None
-            _draw_camera(axes, mode.pose, _OTHER, label, small=True)
-            axes.annotate(
-                f"{mode.probability:.0%}", mode.pose[:2], (6, 5), textcoords="offset points",
-                fontsize=8, color="white", path_effects=_OUTLINE,
-            )  # fmt: skip
+        _draw_modes(axes, estimate.modes[1:])
     if truth is not None:
         _draw_camera(axes, np.asarray(truth, dtype=np.float64), _TRUTH, "truth")
     _draw_camera(axes, pose, _ESTIMATE, "estimate")
+    # Beside the tile and below it, where they hide nothing.
     if tile_metres is not None:
         _draw_scale(axes, tile_metres)
     if north_up:
         _draw_north(axes)
     axes.set(xlim=(0, 1), ylim=(1, 0), xticks=[], yticks=[])
-    # Below, where it hides no arrow.
+    handles, labels = axes.get_legend_handles_labels()
     axes.legend(
-        loc="upper left", bbox_to_anchor=(0, -0.035), ncols=4, frameon=False, fontsize=9,
+        handles[::-1], labels[::-1],  # the estimate, which is drawn last, comes first
+        loc="upper left", bbox_to_anchor=(0, -0.052), ncols=4, frameon=False, fontsize=9,
         borderaxespad=0.0, borderpad=0.0, handletextpad=0.3, columnspacing=1.2,
     )  # fmt: skip
     for number, line in enumerate(lines):
@@ -231,6 +230,24 @@ def _draw_ellipse(axes: Axes, estimate: Estimate) -> None:
     )  # fmt: skip
 
 
+def _draw_modes(axes: Axes, modes: tuple[Mode, ...]) -> None:
+    """The other modes, each with its probability where there is room for it."""
+    written: list[NDArray[np.float64]] = []
+    label: str | None = "other modes"
+    for mode in modes:
+        if mode.probability < _LEAST_PROBABILITY:
+            continue
+        _draw_camera(axes, mode.pose, _OTHER, label, small=True)
+        label = None
+        place = mode.pose[:2]
+        if all(np.abs(place - other).max() > 0.06 for other in written):
+            axes.annotate(
+                f"{mode.probability:.0%}", place, (6, 5), textcoords="offset points",
+                fontsize=8, color="white", path_effects=_OUTLINE,
+            )  # fmt: skip
+            written.append(place)
+
+
 def _draw_camera(
     axes: Axes, pose: NDArray[np.float64], colour: str, label: str | None, small: bool = False
 ) -> None:
@@ -253,23 +270,18 @@ def _draw_scale(axes: Axes, tile_metres: float) -> None:
     """A bar of a round length, about a fifth of the tile."""
     power = 10.0 ** math.floor(math.log10(tile_metres / 5.0))
     length = max(step * power for step in (1, 2, 5) if step * power <= tile_metres / 4.0)
-    u1, v = 0.96, 0.955
-    u0 = u1 - length / tile_metres
-    axes.plot(
-        [u0, u1], [v, v], color="white", linewidth=2.5, solid_capstyle="butt",
-        path_effects=[withStroke(linewidth=4.5, foreground="#000000b0")],
-    )  # fmt: skip
-    axes.text(
-        (u0 + u1) / 2, v - 0.015, f"{length:g} m", color="white", ha="center", va="bottom",
-        fontsize=9, path_effects=_OUTLINE,
-    )  # fmt: skip
+    u0, v = 1.0 - length / tile_metres, 1.072
+    axes.plot([u0, 1.0], [v, v], color=_INK, linewidth=2, solid_capstyle="butt", clip_on=False)
+    axes.text(u0 - 0.012, v, f"{length:g} m", color=_INK, ha="right", va="center", fontsize=9)
 
 
 def _draw_north(axes: Axes) -> None:
+    """An arrow to the north, above the bar of colours."""
+    u = 1.0 + (_BAR_GAP + _BAR_WIDTH / 2.0) / _SIDE
     axes.annotate(
-        "N", xy=(0.955, 0.025), xytext=(0.955, 0.115), ha="center", va="center", fontsize=9,
-        fontweight="bold", color="white", path_effects=_OUTLINE,
-        arrowprops={"arrowstyle": "-|>", "color": "white", "linewidth": 1.6, "shrinkA": 1},
+        "N", xy=(u, 0.0), xytext=(u, 0.075), ha="center", va="center", fontsize=9,
+        fontweight="bold", color=_INK, annotation_clip=False,
+        arrowprops={"arrowstyle": "-|>", "color": _INK, "linewidth": 1.4, "shrinkA": 1},
     )  # fmt: skip
 
 

@@ -21,12 +21,9 @@ from slicematch.localization.refinement import (
     gradient_ascent,
     refine_modes,
 )
-from slicematch.network.aggregation import unit
 from slicematch.priors import PosePrior
-from slicematch.scoring.off_grid import PairScorer
-from slicematch.scoring.scores import score_masks
 
-from slicemask import Frustum, PoseGrid, slice_masks
+from slicemask import Frustum, PoseGrid
 
 FLOOR = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "refined_floor.py"))
 GRID = PoseGrid.parse("21x21x64")
@@ -319,34 +316,3 @@ def test_names_of_refinements():
     assert check_refine(DEFAULT) == DEFAULT
     with pytest.raises(ConfigError, match="one of none, mean, fine, continuous"):
         check_refine("finest")
-
-
-# The score off the grid.
-
-
-@pytest.mark.parametrize(
-    "frustum", [Frustum(360, 8), Frustum(81.5, 5, "pinhole"), Frustum(90, 4), Frustum(360, 1)]
-)
-def test_the_similarity_is_that_of_dense_masks(frustum):
-    generator = torch.Generator().manual_seed(0)
-    ground = unit(torch.randn(1, frustum.slices, 7, generator=generator))
-    features = torch.randn(1, 7, 6, 6, generator=generator)
-    attention = torch.rand(1, frustum.slices, 6, 6, generator=generator)
-    scorer = PairScorer(ground[0], features[0], attention[0], frustum)
-    rng = np.random.default_rng(0)
-    poses = np.column_stack([rng.random((40, 2)), rng.uniform(0, 360, 40)])
-    # At the corner, looking out of the tile, there is nothing to see.
-    poses[:2] = [[1.0, 1.0, 135.0], [0.0, 0.0, 315.0]]
-    masks = torch.from_numpy(slice_masks(poses, frustum, 6, "rays"))
-    expected = score_masks(ground, features, attention, masks[None])[0]
-    tensor = torch.from_numpy(poses).requires_grad_()
-    found = scorer(tensor)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
-    if frustum.hfov_deg <= 90:
-        assert found[:2].tolist() == [0.0, 0.0]
-
-    (gradient,) = torch.autograd.grad(found[2:].sum(), tensor)
-    other = torch.from_numpy(poses[2:]).requires_grad_()
-    dense = slice_masks(other, frustum, 6, "rays")
-    score_masks(ground, features, attention, dense[None])[0].sum().backward()
-    torch.testing.assert_close(gradient[2:], other.grad, rtol=1e-3, atol=1e-4)
