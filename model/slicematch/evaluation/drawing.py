@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.patheffects import withStroke
+from matplotlib.textpath import TextPath
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
@@ -26,7 +28,7 @@ _SIDE, _LEFT, _RIGHT, _BAR_GAP, _BAR_WIDTH = 5.4, 0.3, 0.95, 0.26, 0.16
 _LINE, _LEGEND, _BOTTOM = 0.21, 0.5, 0.22
 # Ground images higher than this share of their width are shown smaller.
 _MOST_HEIGHT = 0.8
-_TITLE_COLUMNS = 66
+_MOST_COLUMNS = 100
 _MOST_OPAQUE = 0.75  # of the heat map, through which the photograph is to be seen
 # Other modes that are less likely are not drawn.
 _LEAST_PROBABILITY = 0.005
@@ -81,14 +83,17 @@ def draw_estimate(
         Bound to no window.
     """
     pose = np.asarray(pose, dtype=np.float64)
-    lines = [part for line in title.splitlines() for part in textwrap.wrap(line, _TITLE_COLUMNS)]
+    rest = title.splitlines()[1:]
     if estimate is not None:
-        lines += textwrap.wrap(_certainty(estimate, tile_metres), _TITLE_COLUMNS + 10)
+        rest.append(_certainty(estimate, tile_metres))
+    first = title.splitlines()[:1]
+    styled = [(part, 11.0, "bold") for line in first for part in _broken(line, 11.0, "bold")]
+    styled += [(part, 9.0, "normal") for line in rest for part in _broken(line, 9.0, "normal")]
     pixels = None if ground is None else np.asarray(ground)
     below = 0.0
     if pixels is not None:
         below = 0.12 + _SIDE * min(pixels.shape[0] / pixels.shape[1], _MOST_HEIGHT)
-    top = 0.28 + _LINE * len(lines)
+    top = 0.28 + _LINE * len(styled)
     width, height = _LEFT + _SIDE + _RIGHT, top + _SIDE + _LEGEND + below + _BOTTOM
     figure = Figure(figsize=(width, height), facecolor="white")
 
@@ -124,11 +129,10 @@ def draw_estimate(
         loc="upper left", bbox_to_anchor=(0, -0.052), ncols=4, frameon=False, fontsize=9,
         borderaxespad=0.0, borderpad=0.0, handletextpad=0.3, columnspacing=1.2,
     )  # fmt: skip
-    for number, line in enumerate(lines):
+    for number, (text, size, weight) in enumerate(styled):
         figure.text(
-            _LEFT / width, 1.0 - (0.24 + _LINE * number) / height, line, parse_math=False,
-            fontsize=11 if number == 0 else 9, fontweight="bold" if number == 0 else "normal",
-            color=_INK, va="center",
+            _LEFT / width, 1.0 - (0.24 + _LINE * number) / height, text, parse_math=False,
+            fontsize=size, fontweight=weight, color=_INK, va="center",
         )  # fmt: skip
     if pixels is not None:
         _draw_ground(place(_LEFT, _BOTTOM, _SIDE, below - 0.12), pixels, frustum.slices)
@@ -176,6 +180,19 @@ def _certainty(estimate: Estimate, tile_metres: float | None) -> str:
         text += f", deviation {east * tile_metres:.1f} m east, {north * tile_metres:.1f} m north"
         text += f", {heading:.1f}°"
     return text
+
+
+def _broken(line: str, size: float, weight: str) -> list[str]:
+    """A line of text broken so that each part fits above the tile and the bar of colours."""
+    font = FontProperties(size=size, weight=weight)
+    room = 72.0 * (_SIDE + _RIGHT - 0.1)
+    for columns in range(_MOST_COLUMNS, 0, -4):
+        parts = textwrap.wrap(line, columns)
+        # A dollar sign would begin a formula.
+        widths = [TextPath((0, 0), part.replace("$", "S"), prop=font) for part in parts]
+        if all(path.get_extents().x1 <= room for path in widths):
+            break
+    return parts
 
 
 def _heat() -> Colormap:
