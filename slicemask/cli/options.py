@@ -79,7 +79,7 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
         _warn_of_hfov(click.get_current_context(), options["hfov"])
         return command(*arguments, **options)
 
-    command = with_warnings
+    decorated: Callable[..., Any] = with_warnings
     for option in reversed(
         (
             click.option(
@@ -102,8 +102,8 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
             ),
         )
     ):
-        command = option(command)
-    return command
+        decorated = option(decorated)
+    return decorated
 
 
 def _warn_of_hfov(ctx: click.Context, hfov_deg: float) -> None:

@@ -175,3 +175,23 @@ def test_ordinary_centres_pass_in_silence(run, cache, images, caplog):
     for centre in ((41.9, -87.6), (-77.8, 166.7), (85.0, 10.0)):
         predict(run, *images, cache=cache, device="cpu", metres_per_pixel=1, centre=centre)
     assert not caplog.records
+
+
+def test_a_cache_that_does_not_exist_is_made(run, images, tmp_path):
+    options = ["--device", "cpu", "--ground", images[0], "--aerial", images[1]]
+    for folder in (tmp_path / "new", tmp_path / "new" / "er" / "est"):
+        arguments = ["predict", run, "--cache", folder, *options]
+        result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+        assert result.exit_code == 0, result.output
+        assert len(list(folder.glob("*.h5"))) == 1
+
+
+def test_caches_that_are_no_use_are_named(run, images, tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    options = ["--device", "cpu", "--ground", images[0], "--aerial", images[1]]
+    arguments = ["predict", run, "--cache", tmp_path / "file" / "in", *options]
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert str(tmp_path / "file") in line
