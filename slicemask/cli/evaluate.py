@@ -110,6 +110,7 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
 @click.pass_context
 def benchmark(
     ctx: click.Context,
+    /,
     run: str | None,
     grid: str | None,
     device: str,
@@ -124,7 +125,7 @@ def benchmark(
     check_model_installed()
     from slicematch.evaluation.timing import time_run, time_settings
 
-    shared = {
+    shared: dict[str, Any] = {
         "device": device,
         "precision": precision,
         "cache": cache,

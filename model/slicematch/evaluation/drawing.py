@@ -205,7 +205,7 @@ def _heat() -> Colormap:
     return ListedColormap(colours)
 
 
-def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: str) -> None:
+def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: Any) -> None:
     ordered = np.concatenate([[0.0], np.sort(values)])
     axes.step(ordered, np.arange(len(ordered)) / len(values), where="post", **style)
 
@@ -259,7 +259,7 @@ def _draw_modes(axes: Axes, modes: tuple[Mode, ...]) -> None:
         place = mode.pose[:2]
         if all(np.abs(place - other).max() > 0.06 for other in written):
             axes.annotate(
-                f"{mode.probability:.0%}", place, (6, 5), textcoords="offset points",
+                f"{mode.probability:.0%}", (place[0], place[1]), (6, 5), textcoords="offset points",
                 fontsize=8, color="white", path_effects=_OUTLINE,
             )  # fmt: skip
             written.append(place)
@@ -269,9 +269,10 @@ def _draw_camera(
     axes: Axes, pose: NDArray[np.float64], colour: str, label: str | None, small: bool = False
 ) -> None:
     u, v, _ = pose
+    tip = arrow_tip(pose, _MARGIN)
     axes.annotate(
         "",
-        xy=arrow_tip(pose, _MARGIN),
+        xy=(tip[0], tip[1]),
         xytext=(u, v),
         annotation_clip=False,
         arrowprops={

@@ -18,7 +18,6 @@ from slicematch.angles import angle_difference_deg
 from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
 from slicematch.data.images import denormalise
 from slicematch.data.loading import PoseLoader
-from slicematch.devices import Precision
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import Calibration
 from slicematch.evaluation.drawing import draw_errors, draw_estimate
@@ -32,6 +31,7 @@ from slicematch.localization.modes import REACH, REACH_DEG, within_reach
 from slicematch.localization.probabilities import credible_region
 from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import trained_window
+from slicematch.precision import Precision
 from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint
 

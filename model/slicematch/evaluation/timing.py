@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -13,10 +13,12 @@ from torch import Tensor
 from slicemask import Frustum, PoseGrid, build_bank
 from slicemask.bank.build import Progress
 from slicemask.errors import is_out_of_memory
-from slicematch.devices import Precision, choose_device, precision_note
+from slicemask.geometry.frustum import Projection
+from slicematch.devices import choose_device, precision_note
 from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer, load_candidates
 from slicematch.network.slicematch import SliceMatch
+from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates
@@ -119,15 +121,23 @@ def time_run(
         cache=cache,
         precision=precision,
     )
-    sizes = loaded.config.ground_size, loaded.config.aerial_size
-    return time_stages(loaded.model, loaded.within(), loaded.device, *sizes, batch_size, runs)
+    ground_size = cast(tuple[int, int], loaded.config.ground_size)
+    return time_stages(
+        loaded.model,
+        loaded.within(),
+        loaded.device,
+        ground_size,
+        loaded.config.aerial_size,
+        batch_size,
+        runs,
+    )
 
 
 def time_settings(
     *,
     grid: str = "21x21x64",
     hfov_deg: float = 360.0,
-    projection: str = "equirectangular",
+    projection: Projection = "equirectangular",
     encoder: str = "vgg16",
     weights: str | Path = "none",
     stride: int = 16,

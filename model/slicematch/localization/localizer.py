@@ -4,6 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import torch
 from PIL import Image
@@ -12,7 +13,7 @@ from slicemask import Frustum, PoseGrid, build_bank, open_bank
 from slicemask.images import Picture, check_aspect, name_of, read_aerial, read_image, resize
 from slicematch.data.images import normalise
 from slicematch.data.panoramas import read_panorama, turn_panorama
-from slicematch.devices import Precision, choose_device
+from slicematch.devices import choose_device
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
 from slicematch.localization.modes import Mode, find_modes
@@ -26,6 +27,7 @@ from slicematch.localization.refinement import (
 )
 from slicematch.localization.tiles import AerialTile, trained_window
 from slicematch.network.slicematch import SliceMatch
+from slicematch.precision import Precision
 from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import Checkpoint, RunFolder
@@ -376,7 +378,7 @@ class Localizer:
         return image
 
     def _ground(self, ground: Picture) -> torch.Tensor:
-        image, size = self.read_ground(ground), self.config.ground_size
+        image, size = self.read_ground(ground), cast(tuple[int, int], self.config.ground_size)
         if self.frustum.projection == "equirectangular":
             image = turn_panorama(image, 0.0, size)
         else:
@@ -384,7 +386,7 @@ class Localizer:
         return normalise(image, *self.config.normalisation())[None].to(self.device)
 
 
-def _as_floats(prior):
+def _as_floats(prior: Any) -> Any:
     return None if prior is None else tuple(float(value) for value in prior)
 
 

@@ -7,12 +7,12 @@ from typing import Any
 
 from slicemask.geometry.poses import check_poses
 from slicemask.images import Picture, read_aerial
-from slicematch.devices import Precision
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
 from slicematch.localization.localizer import HeadingPrior, Localizer, PlacePrior
 from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import check_resolution
+from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint
 
 

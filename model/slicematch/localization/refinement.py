@@ -7,7 +7,7 @@ in as a function of poses, whatever computes it (`slicematch.scoring.off_grid.Pa
 
 import math
 from collections.abc import Callable
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 import torch
@@ -41,7 +41,7 @@ def check_refine(refine: str) -> Refine:
     """Return the name of a refinement, or raise ConfigError if there is none of that name."""
     if refine not in get_args(Refine):
         raise ConfigError(f"refine is {refine!r}; it must be one of {', '.join(get_args(Refine))}")
-    return refine
+    return cast(Refine, refine)
 
 
 def refine_modes(
