@@ -4,8 +4,9 @@ import ast
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import slicemask
 import slicematch
+
+import slicemask
 
 ROOTS = {module.__name__: Path(module.__file__).parent for module in (slicemask, slicematch)}
 
