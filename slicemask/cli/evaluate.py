@@ -136,7 +136,8 @@ def benchmark(
         for name in settings:
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name.replace('_', '-')} cannot be changed in a run.")
-        timings = time_run(run, grid=grid, **shared)
+        with status_line("timing"):
+            timings = time_run(run, grid=grid, **shared)
     else:
         settings["hfov_deg"] = settings.pop("hfov")
         with progress_bar("building", "poses") as progress:

@@ -24,7 +24,7 @@ from slicematch.localization.probabilities import CONFIDENCE, ellipse
 _ESTIMATE, _TRUTH, _OTHER, _INK = "#e6007e", "#00b050", "#7ad7f0", "#17212b"
 _MARGIN = 0.04  # how far an arrow may reach out of the tile, whose side is 1
 # The layout, in inches: the tile's side, what is left beside it, and the bar of colours.
-_SIDE, _LEFT, _RIGHT, _BAR_GAP, _BAR_WIDTH = 5.4, 0.3, 0.95, 0.26, 0.16
+_SIDE, _LEFT, _RIGHT, _BAR_GAP, _BAR_WIDTH = 5.4, 0.3, 1.2, 0.26, 0.16
 _LINE, _LEGEND, _BOTTOM = 0.21, 0.5, 0.22
 # Ground images higher than this share of their width are shown smaller.
 _MOST_HEIGHT = 0.8
@@ -185,7 +185,7 @@ def _certainty(estimate: Estimate, tile_metres: float | None) -> str:
 def _broken(line: str, size: float, weight: str) -> list[str]:
     """A line of text broken so that each part fits above the tile and the bar of colours."""
     font = FontProperties(size=size, weight=weight)
-    room = 72.0 * (_SIDE + _RIGHT - 0.1)
+    room = 72.0 * (_SIDE + _RIGHT - 0.3)
     for columns in range(_MOST_COLUMNS, 0, -4):
         parts = textwrap.wrap(line, columns)
         # A dollar sign would begin a formula.
