@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from slicemask import Frustum, slice_masks
-from slicematch.network.aggregation import aerial_descriptors
+from slicematch.network.aggregation import LEAST_AREA, unit
 from slicematch.scoring.scores import cosine
 
 
@@ -62,16 +62,15 @@ class PairScorer:
             ground = self.ground.float()
             masks = slice_masks(poses.to(device), self.frustum, cells, engine="rays")
             masks = masks.flatten(1, -3).flatten(2).float()  # [K, N * B, L * L]
-            features = self.features.flatten(1).float()
-            attention = self.attention.flatten(1).float().expand(len(ground), -1)
+            columns = self.features.flatten(1).T  # [L * L, C]
+            attention = self.attention.flatten(1).expand(len(ground), -1)
             dots, present = ground.new_zeros(len(poses)), ground.new_zeros(len(poses))
             for part, seen in enumerate((masks.detach() > 0).any(dim=0)):
                 some = seen.nonzero()[:, 0]
-                (descriptors,) = aerial_descriptors(
-                    features[None, :, None, some],
-                    attention[None, part, None, None, some],
-                    masks[None, :, part, None, None, some],
-                ).squeeze(2)  # d_a^{k,n,b}, [K, C]
+                taken = masks[:, part, some]
+                sums = (taken * attention[part, some].float()) @ columns[some].float()
+                areas = taken.sum(dim=1, keepdim=True).clamp_min(LEAST_AREA)
+                descriptors = unit(sums / areas)  # d_a^{k,n,b}, [K, C]
                 dots = dots + descriptors @ ground[part]
                 present = present + (descriptors.detach() != 0).any(dim=1)
             return cosine(dots, present, ground.flatten())
