@@ -13,7 +13,7 @@ from slicematch.localization.localizer import HeadingPrior, Localizer, PlacePrio
 from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import check_resolution
 from slicematch.precision import Precision
-from slicematch.runs.folder import Checkpoint
+from slicematch.runs.folder import Checkpoint, RunFolder
 
 
 @dataclass(frozen=True)
@@ -162,6 +162,7 @@ def predict(
     """
     _check_request(metres_per_pixel, truth, centre, geojson, out)
     say = progress or (lambda _: None)
+    RunFolder(Path(run)).load_config()  # the likeliest slip of all, before large images
     say("reading the tile")
     tile = read_aerial(aerial)
     say("loading the run")
