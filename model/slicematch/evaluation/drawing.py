@@ -85,7 +85,7 @@ def draw_estimate(
     pose = np.asarray(pose, dtype=np.float64)
     rest = title.splitlines()[1:]
     if estimate is not None:
-        rest.append(_certainty(estimate, tile_metres))
+        rest.append(_certainty(estimate, tile_metres, north_up))
     first = title.splitlines()[:1]
     styled = [(part, 11.0, "bold") for line in first for part in _broken(line, 11.0, "bold")]
     styled += [(part, 9.0, "normal") for line in rest for part in _broken(line, 9.0, "normal")]
@@ -127,7 +127,7 @@ def draw_estimate(
     axes.legend(
         handles[::-1], labels[::-1],  # the estimate, which is drawn last, comes first
         loc="upper left", bbox_to_anchor=(0, -0.052), ncols=4, frameon=False, fontsize=9,
-        borderaxespad=0.0, borderpad=0.0, handletextpad=0.3, columnspacing=1.2,
+        borderaxespad=0.0, borderpad=0.0, handletextpad=0.3, columnspacing=0.9,
     )  # fmt: skip
     for number, (text, size, weight) in enumerate(styled):
         figure.text(
@@ -172,12 +172,15 @@ def draw_errors(errors: PoseErrors, oracle: OracleError) -> Figure:
     return figure
 
 
-def _certainty(estimate: Estimate, tile_metres: float | None) -> str:
+def _certainty(estimate: Estimate, tile_metres: float | None, north_up: bool) -> str:
     """Score and probability of the answer, and how far it may be off."""
     text = f"score {estimate.score:.3f}, probability {estimate.modes[0].probability:.1%}"
     east, north, heading = np.sqrt(estimate.covariance().diagonal()).tolist()
     if tile_metres is not None:
-        text += f", deviation {east * tile_metres:.1f} m east, {north * tile_metres:.1f} m north"
+        across, along = ("east", "north") if north_up else ("right", "up")
+        text += (
+            f", deviation {east * tile_metres:.1f} m {across}, {north * tile_metres:.1f} m {along}"
+        )
         text += f", {heading:.1f}°"
     return text
 
@@ -285,9 +288,9 @@ def _draw_camera(
 
 
 def _draw_scale(axes: Axes, tile_metres: float) -> None:
-    """A bar of a round length, about a fifth of the tile."""
-    power = 10.0 ** math.floor(math.log10(tile_metres / 5.0))
-    length = max(step * power for step in (1, 2, 5) if step * power <= tile_metres / 4.0)
+    """A bar of a round length, at most a sixth of the tile, beside the legend."""
+    power = 10.0 ** math.floor(math.log10(tile_metres / 6.0))
+    length = max(step * power for step in (1, 2, 5) if step * power <= tile_metres / 6.0)
     u0, v = 1.0 - length / tile_metres, 1.072
     axes.plot([u0, 1.0], [v, v], color=_INK, linewidth=2, solid_capstyle="butt", clip_on=False)
     axes.text(u0 - 0.012, v, f"{length:g} m", color=_INK, ha="right", va="center", fontsize=9)

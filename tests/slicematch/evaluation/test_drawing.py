@@ -96,7 +96,9 @@ def test_an_estimate_brings_its_figures_and_modes():
     assert not {"N", "10 m", "other modes", "95% ellipse"} & {*plain}
 
 
-@pytest.mark.parametrize(("metres", "said"), [(72.5, "10 m"), (101.6, "20 m"), (3.0, "0.5 m")])
+@pytest.mark.parametrize(
+    ("metres", "said"), [(72.5, "10 m"), (101.6, "10 m"), (130.0, "20 m"), (3.1, "0.5 m")]
+)
 def test_the_scale_bar_is_of_a_round_length(metres, said):
     figure = drawn(tile_metres=metres)
     assert said in texts(figure)
