@@ -117,9 +117,9 @@ class Localizer:
         checkpoint : {"best", "last"}
             Which weights.
         device : str
-            As for `choose_device`.
+            "auto" (CUDA where it is there, else the CPU), "cpu", "cuda" or "cuda:N".
         cache : path, optional
-            The folder of banks, as for `slicemask.build_bank`.
+            The folder of banks; SLICEMASK_CACHE or ``./masks_cache`` by default.
         refine : {"none", "mean", "fine", "continuous"}
             How estimates are refined: not at all, the best candidate is the answer; the mean of
             the candidates around it, by their probabilities; coarse to fine; or that and then by

@@ -79,7 +79,7 @@ def save_geojson(collection: dict[str, Any], path: str | Path) -> None:
 
 
 def check_geojson_target(path: str | Path) -> Path:
-    """Return the path of a GeoJSON file to be written, or raise OutputError if it cannot be one."""
+    """Return the path of a GeoJSON file to be written, or raise OutputError if it is invalid."""
     return check_target(path, GEOJSON_SUFFIXES, OutputError)
 
 
