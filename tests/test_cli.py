@@ -272,3 +272,27 @@ def test_the_installed_command_prints_no_bar_into_a_pipe(tmp_path):
     )  # fmt: skip
     assert found.stderr == ""
     assert found.stdout.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--hfov", "6.2832"], "as if it were in radians; in degrees that is 360"),
+        (["--hfov", "1.4224"], "as if it were in radians; in degrees that is 81.5"),
+        (["--hfov", "81.5"], "a camera's have equal widths: --projection pinhole"),
+        (["--hfov", "63.4"], "a camera's have equal widths: --projection pinhole"),
+        ([], None),
+        (["--hfov", "90"], None),
+        (["--hfov", "360"], None),
+        (["--hfov", "5"], None),
+        (["--hfov", "81.5", "--projection", "pinhole"], None),
+        (["--hfov", "81.5", "--projection", "equirectangular"], None),
+    ],
+)
+@pytest.mark.parametrize(
+    "command", [["build", "--grid", "1x1x1", "--cells", "4"], ["visualize", "--at", "0.5,0.5,0"]]
+)
+def test_fields_of_view_that_are_almost_surely_slips(run, caplog, command, options, said):
+    result = run(*command, "--slices", "2", *options)
+    assert result.exit_code == 0
+    assert [said in record.getMessage() for record in caplog.records] == [True] * bool(said)

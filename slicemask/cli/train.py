@@ -72,4 +72,6 @@ def calibrate(run: str, as_json: bool, **options: Any) -> None:
         "samples, {nll_of_tau:.3f} with the loss's tau; for answers among {grid} by the "
         "{checkpoint} weights, others count as uncalibrated"
     )
+    if "caution" in content:
+        text += "\ncaution: {caution}"
     print_result(as_json, content, text.format(**content))

@@ -189,12 +189,20 @@ class Source(ABC):
         Horizontal field of view of the ground images.
     left_out : int
         Labels that give no sample because the camera stands off its tile.
+    headings_deg : float64 [n] or None
+        Headings to use, where the source would otherwise draw them.
+    labels : int [n] or None
+        Which label of its files, all counted in their order, each sample comes from; None where
+        headings are not drawn but stand in the files.
     """
 
     names: list[str]
     tile_metres: NDArray[np.float64]
     hfov_deg: float
     left_out: int = 0
+    headings_deg: NDArray[np.float64] | None = None
+    labels: NDArray[np.intp] | None = None
+    label_count: int = 0
 
     @abstractmethod
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:

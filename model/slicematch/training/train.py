@@ -32,8 +32,8 @@ from slicematch.evaluation.calibration import calibrate
 from slicematch.evaluation.drawing import draw_estimate
 from slicematch.evaluation.metrics import pose_errors
 from slicematch.localization.localizer import load_candidates
-from slicematch.localization.refinement import Domain
 from slicematch.network.slicematch import SliceMatch
+from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import RunFolder, build_model, load_weights, read_checkpoint
 from slicematch.scoring.candidates import Candidates
@@ -308,13 +308,13 @@ class TrainingModule(lightning.LightningModule):
         self.train_candidates = train_candidates
         self.test_candidates = test_candidates
         self.train_grid = config.grid("train_grid")
-        self.domain = Domain(config.extent, config.heading_prior(), config.place_prior)
+        self.prior = PosePrior(config.extent, config.heading_prior(), config.place_prior)
         self.jittered_candidates: list[Candidates] = []
         if config.grid_jitter:
             self.jittered_candidates = jittered_candidates(
                 train_candidates.poses,
                 self.train_grid,
-                self.domain,
+                self.prior,
                 self.frustum,
                 model.cells,
                 config.seed,
@@ -363,7 +363,7 @@ class TrainingModule(lightning.LightningModule):
                 batch["pose"],
                 self.config.near_negatives,
                 self.train_grid,
-                self.domain,
+                self.prior,
             )
             masks = slice_masks(near.flatten(0, 1), self.frustum, self.model.cells, engine="rays")
             masks = masks.unflatten(0, near.shape[:2])

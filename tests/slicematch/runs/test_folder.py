@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from click.testing import CliRunner
 from slicematch.data.errors import DatasetError
 from slicematch.devices import choose_device
 from slicematch.errors import ConfigError, RunError
@@ -15,6 +16,8 @@ from slicematch.localization.localizer import Localizer
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import RunFolder, plan_run
 from slicematch.training.train import train
+
+from slicemask.cli.main import main
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -91,6 +94,9 @@ def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, ca
     assert (content["samples"], content["grid"], content["checkpoint"]) == (2, "4x4x8", "best")
     assert content["nll"] <= content["nll_of_tau"]
     assert Localizer.load(run, cache=cache).temperature == content["temperature"]
+    assert content["caution"].startswith("fitted to only 2 validation samples")
+    result = CliRunner().invoke(main, ["calibrate", str(run), "--cache", str(cache)])
+    assert "caution: fitted to only 2 validation samples" in result.stdout
     # Fitted again later it is the same, to another grid another one.
     (run / "calibration.json").unlink()
     assert calibrate(run, cache=cache) == content
