@@ -2,7 +2,8 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from itertools import pairwise
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from slicemask.geometry.numbers import is_real, is_whole
 
 Projection = Literal["equirectangular", "pinhole"]
 MOST_SLICES = 4096
+MOST_BANDS = 64
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,12 @@ class Frustum:
     projection : {"equirectangular", "pinhole"}
         Equal azimuth ranges (SliceMatch, CVPR 2023, section 3), or equal widths in the image of
         a pinhole camera.
+    bands : tuple of float
+        Ranges r_1 < ... < r_{B-1}, in shares of the tile's side, that cut each slice into B bands
+        (ours, not the paper's), the nearest first and the last one without end. Of an
+        equirectangular image the range is the distance from the camera, so that bands are
+        separated by circles; of a pinhole image it is the depth along the heading, so that they
+        are separated by straight lines. Empty by default: one band, the whole slice.
 
     Raises
     ------
@@ -37,11 +45,14 @@ class Frustum:
     --------
     >>> Frustum(hfov_deg=90, slices=2).edge_offsets_deg().tolist()
     [-45.0, 0.0, 45.0]
+    >>> Frustum(bands=(0.1, 0.25)).band_count
+    3
     """
 
     hfov_deg: float = 360.0
     slices: int = 16
     projection: Projection = "equirectangular"
+    bands: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.projection not in get_args(Projection):
@@ -62,6 +73,12 @@ class Frustum:
             )
         object.__setattr__(self, "hfov_deg", float(self.hfov_deg))
         object.__setattr__(self, "slices", int(self.slices))
+        object.__setattr__(self, "bands", _checked_bands(self.bands))
+
+    @property
+    def band_count(self) -> int:
+        """B, the bands of a slice: 1 where there are no ranges."""
+        return len(self.bands) + 1
 
     def edge_offsets_deg(self) -> NDArray[np.float64]:
         """Azimuths of the slice edges from the heading, degrees clockwise, float64 [N + 1].
@@ -84,3 +101,21 @@ class Frustum:
         """
         heading = np.asarray(heading_deg, dtype=np.float64)
         return np.asarray(heading[..., None] + self.edge_offsets_deg())
+
+
+def _checked_bands(bands: Any) -> tuple[float, ...]:
+    """The ranges as a tuple, or SpecError if they are no increasing ranges."""
+    try:
+        ranges = tuple(bands)
+    except TypeError:
+        ranges = (None,)
+    if not all(is_real(r) and r > 0.0 for r in ranges) or any(
+        far <= near for near, far in pairwise(ranges)
+    ):
+        raise SpecError(
+            f"bands are {bands!r}; they must be increasing ranges above 0, in shares of the tile's "
+            "side, such as 0.08,0.17,0.33"
+        )
+    if len(ranges) >= MOST_BANDS:
+        raise SpecError(f"there are {len(ranges) + 1} bands; there may be at most {MOST_BANDS}")
+    return tuple(map(float, ranges))

@@ -31,15 +31,29 @@ def check_cells(cells: int) -> int:
     return int(cells)
 
 
-def engine_fractions(engine: Engine) -> Callable[..., Any]:
-    """Return the engine's `sector_fractions`; each engine's module is loaded on first use."""
+def engine_fractions(engine: Engine, frustum: Frustum) -> Callable[..., Any]:
+    """The engine's function of sectors' fractions; each engine's module is loaded on first use.
+
+    It takes u, v, left_deg, right_deg and heading_deg [S] and the cells, and gives [S, B, L, L].
+    """
+    module: Any
     if engine == "rays":
-        from slicemask.geometry import rays
+        from slicemask.geometry import rays as module
+    else:
+        from slicemask.geometry import coverage as module
 
-        return rays.sector_fractions
-    from slicemask.geometry import coverage
+    def fractions(
+        u: Any, v: Any, left_deg: Any, right_deg: Any, heading_deg: Any, cells: int, **options: Any
+    ) -> Any:
+        if not frustum.bands:
+            whole = module.sector_fractions(u, v, left_deg, right_deg, cells, **options)
+            return whole[:, None, :, :]
+        depth_along = heading_deg if frustum.projection == "pinhole" else None
+        return module.banded_fractions(
+            u, v, left_deg, right_deg, cells, frustum.bands, depth_along, **options
+        )
 
-    return coverage.sector_fractions
+    return fractions
 
 
 def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shapely") -> Any:
@@ -50,11 +64,12 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     poses : array [K, 3]
         u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
     frustum : Frustum
-        Field of view and its N slices.
+        Field of view, its N slices and their B bands.
     cells : int
         L, the cells along each side of the tile.
     engine : {"shapely", "rays"}
-        Polygons and intersections, or the closed form. They agree to 1e-9. With "rays", poses
+        Polygons and intersections, or the closed form. They agree to 1e-9, and to 1e-6 in cells
+        that a circle between bands crosses, which is a polygon to the former. With "rays", poses
         may be any array of the Python array API standard, such as a torch tensor on any device:
         the masks are then of its kind and dtype (float32 or float64; computed in float64), with
         gradients in u, v and heading_deg. Of an array there must be at least one pose; of other
@@ -62,9 +77,10 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
 
     Returns
     -------
-    masks : float64 [K, N, L, L]
-        The share of cell (row, column) that slice n of pose k covers, in [0, 1]; an all-zero
-        mask where a slice misses the tile. Rounding noise is no share: what is below 1e-10 is 0.
+    masks : float64 [K, N, L, L], or [K, N, B, L, L] where the frustum has bands
+        The share of cell (row, column) that slice n (band b of it) of pose k covers, in [0, 1]; an
+        all-zero mask where it misses the tile. The bands of a slice sum to the slice. Rounding
+        noise is no share: what is below 1e-10 is 0.
         NumPy results are 1 within 1e-10 of it, too; others may exceed 1 by some 1e-13 (float64).
 
     Raises
@@ -72,13 +88,15 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     PoseError
         If a pose lies outside the tile or is not finite; the message names it.
     SpecError
-        If the cells or the engine cannot be.
+        If the cells or the engine are invalid.
 
     Examples
     --------
     >>> masks = slice_masks([[0.5, 0.5, 45.0]], Frustum(hfov_deg=90, slices=1), cells=2)
     >>> masks[0, 0].tolist()
     [[0.0, 1.0], [0.0, 0.0]]
+    >>> slice_masks([[0.5, 0.5, 45.0]], Frustum(90, 1, bands=(0.25,)), cells=2).shape
+    (1, 1, 2, 2, 2)
     """
     cells, engine = check_cells(cells), check_engine(engine)
     if array_api_compat.is_array_api_obj(poses) and not array_api_compat.is_numpy_array(poses):
@@ -89,11 +107,18 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
         return _rays_of_any_array(poses, frustum, cells)
     checked = check_poses(poses)
     edges = frustum.edges_deg(checked[:, 2])
-    u, v = (np.repeat(checked[:, axis], frustum.slices) for axis in (0, 1))
-    fractions = engine_fractions(engine)(u, v, edges[:, :-1].ravel(), edges[:, 1:].ravel(), cells)
+    u, v, heading_deg = (np.repeat(checked[:, axis], frustum.slices) for axis in range(3))
+    fractions = engine_fractions(engine, frustum)(
+        u, v, edges[:, :-1].ravel(), edges[:, 1:].ravel(), heading_deg, cells
+    )
     fractions[fractions < NEGLIGIBLE] = 0.0
     fractions[fractions > 1.0 - NEGLIGIBLE] = 1.0
-    return fractions.reshape(len(checked), frustum.slices, cells, cells)
+    return fractions.reshape(_shape(len(checked), frustum, cells))
+
+
+def _shape(poses: int, frustum: Frustum, cells: int) -> tuple[int, ...]:
+    bands = (frustum.band_count,) if frustum.bands else ()
+    return (poses, frustum.slices, *bands, cells, cells)
 
 
 def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
@@ -122,9 +147,13 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
     )
     edges = poses[:, 2:3] + offsets[None, :]
     shape = (poses.shape[0], frustum.slices)
-    u, v = (xp.reshape(xp.broadcast_to(poses[:, a : a + 1], shape), (-1,)) for a in (0, 1))
+    u, v, heading_deg = (
+        xp.reshape(xp.broadcast_to(poses[:, a : a + 1], shape), (-1,)) for a in range(3)
+    )
     left, right = (xp.reshape(side, (-1,)) for side in (edges[:, :-1], edges[:, 1:]))
     widest_deg = float(np.diff(frustum.edge_offsets_deg()).max())
-    fractions = engine_fractions("rays")(u, v, left, right, cells, widest_deg)
+    fractions = engine_fractions("rays", frustum)(
+        u, v, left, right, heading_deg, cells, widest_deg=widest_deg
+    )
     fractions = xp.where(fractions < NEGLIGIBLE, xp.zeros_like(fractions), fractions)
-    return xp.astype(xp.reshape(fractions, (*shape, cells, cells)), dtype)
+    return xp.astype(xp.reshape(fractions, _shape(poses.shape[0], frustum, cells)), dtype)

@@ -17,7 +17,8 @@ and azimuths) take the same path.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -25,6 +26,15 @@ import array_api_compat
 import numpy as np
 
 from slicemask.geometry.azimuths import direction
+from slicemask.geometry.ranges import (
+    BEYOND,
+    Cut,
+    clip_between,
+    cut_by_circle,
+    cut_by_plane,
+    kept_apart,
+    window_cells,
+)
 
 # Lattice values worked on at once. NumPy's fit a processor's second-level cache; other libraries
 # pay more for each call.
@@ -60,11 +70,126 @@ def sector_fractions(
         In the arrays' own namespace, dtype and device; differentiable where they are. Rounding
         leaves values of the order of L * 1e-16 outside [0, 1] (float64).
     """
-    # NumPy is its own namespace; the wrapper's would only add a long import.
-    on_numpy = array_api_compat.is_numpy_array(u)
-    xp = np if on_numpy else array_api_compat.array_namespace(u, v, left_deg, right_deg)
+    xp = _namespace(u)
+    sectors = _Sectors(u, v, left_deg, right_deg)
     if u.shape[0] == 0:
         return xp.zeros((0, cells, cells), dtype=u.dtype, device=array_api_compat.device(u))
+    return _fractions(sectors, _Window(0, 0, cells, cells), widest_deg, xp)
+
+
+def banded_fractions(
+    u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, bands: tuple[float, ...],
+    heading_deg: Any = None, widest_deg: float | None = None,
+) -> Any:  # fmt: skip
+    """Share of each cell that lies in each band of a sector, for a batch of sectors.
+
+    Parameters
+    ----------
+    u, v, left_deg, right_deg, cells, widest_deg
+        As `sector_fractions` takes them; the cameras are on the tile.
+    bands : tuple of float
+        The increasing ranges between bands, in shares of the tile's side.
+    heading_deg : array [B], optional
+        The azimuth along which range is measured as a depth; without it, range is the distance
+        from the camera.
+
+    Returns
+    -------
+    fractions : array [B, len(bands) + 1, L, L]
+        As `sector_fractions` gives them, which is their sum over the bands.
+    """
+    xp = _namespace(u)
+    count, on_numpy = u.shape[0], xp is np
+    whole = sector_fractions(u, v, left_deg, right_deg, cells, widest_deg)
+    if count and widest_deg is None:
+        widest_deg = float(xp.max(right_deg - left_deg))
+    ends = [whole] * (len(bands) + 1)
+    fractions = np.zeros((count, len(ends), cells, cells)) if on_numpy else None
+    if fractions is not None:
+        fractions[:, -1] = whole
+    for band, range_ in enumerate(bands):
+        if range_ >= BEYOND or not count:
+            if fractions is not None:
+                fractions[:, band] += whole
+                fractions[:, band + 1] -= whole
+            continue
+        sectors = _Sectors(u, v, left_deg, right_deg, heading_deg, range_)
+        if fractions is None or heading_deg is not None:
+            within = _fractions(sectors, _Window(0, 0, cells, cells), widest_deg, xp)
+            ends[band] = within
+            if fractions is not None:
+                fractions[:, band] += within
+                fractions[:, band + 1] -= within
+            continue
+        # Near bands reach a few cells: of the others nothing is computed.
+        size = window_cells(range_, cells)
+        row, column = (
+            np.clip(np.floor((at - range_) * cells), 0, cells - size).astype(np.int64)
+            for at in (v, u)
+        )
+        within = _fractions(sectors, _Window(row, column, size, cells), widest_deg, xp)
+        if size == cells:
+            fractions[:, band] += within
+            fractions[:, band + 1] -= within
+            continue
+        steps = np.arange(size)
+        at = (
+            np.arange(count)[:, None, None],
+            (row[:, None] + steps)[:, :, None],
+            (column[:, None] + steps)[:, None, :],
+        )
+        fractions[:, band][at] += within
+        fractions[:, band + 1][at] -= within
+    if fractions is not None:
+        return fractions
+    return xp.stack([ends[0]] + [far - near for near, far in pairwise(ends)], axis=1)
+
+
+def _namespace(array: Any) -> ModuleType:
+    """The array's namespace; NumPy is its own, since the wrapper's would add a long import."""
+    if array_api_compat.is_numpy_array(array):
+        return np
+    return array_api_compat.array_namespace(array)
+
+
+@dataclass(frozen=True)
+class _Sectors:
+    """Sectors of cameras, arrays [B] each, up to a range if there is one.
+
+    The range is a depth along the headings where there are any, else a distance.
+    """
+
+    u: Any
+    v: Any
+    left_deg: Any
+    right_deg: Any
+    heading_deg: Any = None
+    range: float | None = None
+
+
+@dataclass(frozen=True)
+class _Window:
+    """The cells to compute: ``size`` rows and columns of an L x L tile, from ``row``, ``column``.
+
+    These are numbers, or int64 [B], one for each sector.
+    """
+
+    row: Any
+    column: Any
+    size: int
+    cells: int
+
+    def lattices(self, u: Any, xp: ModuleType) -> tuple[Any, Any]:
+        """Coordinates of the horizontal and of the vertical lines, [1 or B, size + 1]."""
+        steps = xp.arange(self.size + 1, dtype=u.dtype, device=array_api_compat.device(u))[None, :]
+        if isinstance(self.row, int):
+            return steps / self.cells, steps / self.cells
+        return (self.row[:, None] + steps) / self.cells, (self.column[:, None] + steps) / self.cells
+
+
+def _fractions(sectors: _Sectors, window: _Window, widest_deg: float | None, xp: ModuleType) -> Any:
+    """`sector_fractions` of some cells: [B, size, size]."""
+    left_deg, right_deg = sectors.left_deg, sectors.right_deg
     # A sector of 180 degrees or more can cut a line twice: cut it into narrower ones.
     if widest_deg is None:
         widest_deg = float(xp.max(right_deg - left_deg))
@@ -73,44 +198,64 @@ def sector_fractions(
     start_deg = left_deg
     for part in range(1, parts + 1):
         stop_deg = right_deg if part == parts else left_deg + (right_deg - left_deg) * part / parts
-        share = _narrow(u, v, start_deg, stop_deg, cells, xp)
+        narrow = replace(sectors, left_deg=start_deg, right_deg=stop_deg)
+        share = _narrow(narrow, window, widest_deg / parts, xp)
         fractions = share if fractions is None else fractions + share
         start_deg = stop_deg
     return fractions
 
 
-def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: ModuleType) -> Any:
-    """`sector_fractions` of sectors narrower than 180 degrees."""
-    count, lines = u.shape[0], cells + 1
-    lattice = xp.arange(lines, dtype=u.dtype, device=array_api_compat.device(u)) / cells
-    ray_u, ray_v = direction(xp.concat([left_deg, right_deg]), xp)
+def _narrow(sectors: _Sectors, window: _Window, widest_deg: float, xp: ModuleType) -> Any:
+    """`_fractions` of sectors narrower than 180 degrees."""
+    u, v = sectors.u, sectors.v
+    count, cells = u.shape[0], window.cells
+    ray_u, ray_v = direction(xp.concat([sectors.left_deg, sectors.right_deg]), xp)
     lu, ru, lv, rv = ray_u[:count], ray_u[count:], ray_v[:count], ray_v[count:]
+    row_lattice, column_lattice = window.lattices(u, xp)
+    y, x = row_lattice - v[:, None], column_lattice - u[:, None]
     # The horizontal lines, then the vertical ones: their offsets Y and X, and their intervals.
     # Azimuth grows to the right where a line lies ahead (Y < 0) and to the left where it lies
     # behind; swapping the axes turns the plane's orientation, hence the swapped rays.
-    offset = lattice - xp.concat([v, u])[:, None]
+    offset, origin = xp.concat([y, x]), xp.concat([u, v])
     low, high = _intervals(
         offset,
-        xp.concat([u, v]),
+        origin,
         (xp.concat([lu, rv]), xp.concat([lv, ru])),
         (xp.concat([ru, lv]), xp.concat([rv, lu])),
         xp,
     )
+    outlines = []
+    if sectors.range is not None:
+        cut = _cut(sectors, y, x, ((lu, lv), (ru, rv)), widest_deg, float(cells * cells), xp)
+        nearest, farthest = origin[:, None] + cut.low, origin[:, None] + cut.high
+        low, high = (clip_between(bound, nearest, farthest, xp) for bound in (low, high))
+        high = kept_apart(low, high, xp)
+        outlines = [
+            (_columns(part.along), _rows(part.low, xp), _rows(part.high, xp))
+            for part in cut.outlines
+        ]
     # Fractions are areas over that of a cell; the factor comes in here, where it is cheapest.
     cuts = offset * (cells * cells / 2), low, high
     # G is laid out as [i, b, j]: for all sectors at once, what belongs to columns lies together.
-    rows = [xp.permute_dims(values[:count, :], (1, 0))[:, :, None] for values in cuts]
-    columns = [values[None, count:, :] for values in cuts]
+    rows = [_rows(values[:count, :], xp) for values in cuts]
+    columns = [_columns(values[count:, :]) for values in cuts]
+    along_row, along_column = _columns(column_lattice), _rows(row_lattice, xp)
 
-    on_numpy = array_api_compat.is_numpy_array(u)
+    on_numpy, lines = xp is np, window.size + 1
     step = max(1, (_NUMPY_VALUES if on_numpy else _OTHER_VALUES) // lines**2)
-    fractions: Any = np.empty((count, cells, cells), dtype=u.dtype) if on_numpy else []
-    desk = _Desk(lattice[None, None, :], lattice[:, None, None])
+    fractions: Any = np.empty((count, window.size, window.size), u.dtype) if on_numpy else []
+    workspace = _Workspace(along_row, along_column)
     for start in range(0, count, step):
         some = slice(start, min(start + step, count))
         if on_numpy:
-            desk = desk.laid_out((lines, some.stop - some.start, lines))
-        areas = _areas([x[:, some, :] for x in rows], [x[:, some, :] for x in columns], desk, xp)
+            workspace = workspace.sized((lines, some.stop - some.start, lines), some)
+        areas = _areas(
+            [values[:, some, :] for values in rows],
+            [values[:, some, :] for values in columns],
+            [tuple(values[:, some, :] for values in part) for part in outlines],
+            workspace if on_numpy else workspace.of(some),
+            xp,
+        )
         areas = xp.permute_dims(areas, (1, 0, 2))
         if on_numpy:
             fractions[some] = areas
@@ -119,53 +264,98 @@ def _narrow(u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, xp: Modul
     return fractions if on_numpy else xp.concat(fractions, axis=0)
 
 
+def _cut(
+    sectors: _Sectors, y: Any, x: Any, rays: tuple[tuple[Any, Any], tuple[Any, Any]],
+    widest_deg: float, scale: float, xp: ModuleType,
+) -> Cut:  # fmt: skip
+    assert sectors.range is not None
+    if sectors.heading_deg is None:
+        edges = sectors.left_deg, sectors.right_deg
+        return cut_by_circle(sectors.range, y, x, *edges, widest_deg, scale, xp)
+    return cut_by_plane(sectors.range, y, x, sectors.heading_deg, *rays, scale, xp)
+
+
+def _rows(values: Any, xp: ModuleType) -> Any:
+    """Values of the horizontal lines, [b, i] to [i, b, 1]."""
+    return xp.permute_dims(values, (1, 0))[:, :, None]
+
+
+def _columns(values: Any) -> Any:
+    """Values of the vertical lines, [b, j] to [1, b, j]."""
+    return values[None, :, :]
+
+
 @dataclass(frozen=True)
-class _Desk:
+class _Workspace:
     """The lattice along rows and columns, and arrays to compute in, if any: all [i, b, j].
 
-    NumPy works in arrays that are there: the first touch of fresh memory costs as much as the
+    NumPy works in arrays that exist already: the first touch of fresh memory costs as much as the
     arithmetic. And it works on whole arrays twice as fast as on those it must repeat.
     """
 
     along_row: Any
     along_column: Any
-    one: Any = None
-    other: Any = None
+    scratch_a: Any = None
+    scratch_b: Any = None
+    lattices: tuple[Any, Any] | None = None
 
-    def laid_out(self, shape: tuple[int, int, int]) -> "_Desk":
-        """Return a desk of arrays of a shape: this one, if it is."""
-        if self.one is not None and self.one.shape == shape:
+    def of(self, some: slice) -> "_Workspace":
+        """The workspace of some sectors: their own lattices, or the one that all share."""
+        if self.along_row.shape[1] == 1:
             return self
-        lattice = self.along_row[0, 0]
-        along_row, along_column, one, other = (np.empty(shape) for _ in range(4))
-        along_row[:], along_column[:] = lattice, lattice[:, None, None]
-        return _Desk(along_row, along_column, one, other)
+        return _Workspace(self.along_row[:, some, :], self.along_column[:, some, :])
+
+    def sized(self, shape: tuple[int, int, int], some: slice) -> "_Workspace":
+        """A workspace of arrays of a shape for some sectors: this one, if it is one."""
+        lattices = self.lattices or (self.along_row, self.along_column)
+        shared = lattices[0].shape[1] == 1
+        fits = self.scratch_a is not None and self.scratch_a.shape == shape
+        if fits and shared:
+            return self
+        arrays = (
+            (self.along_row, self.along_column, self.scratch_a, self.scratch_b)
+            if fits
+            else tuple(np.empty(shape) for _ in range(4))
+        )
+        for array, lattice in zip(arrays, lattices, strict=False):
+            array[:] = lattice if shared else lattice[:, some, :]
+        return _Workspace(*arrays, lattices)
 
 
-def _areas(rows: list[Any], columns: list[Any], desk: _Desk, xp: ModuleType) -> Any:
+def _areas(
+    rows: list[Any], columns: list[Any], outlines: list[Any], workspace: _Workspace, xp: ModuleType
+) -> Any:
     """Areas of the cells within sectors, over that of a cell, [L, b, L].
 
     ``rows`` and ``columns`` are the factors, lows and highs of the horizontal lines [L + 1, b, 1]
-    and the vertical ones [1, b, L + 1].
+    and the vertical ones [1, b, L + 1]; ``outlines`` are the parts of a range's outline.
     """
-    g = _fluxes(desk.along_row, rows, desk.one, xp)
-    g += _fluxes(desk.along_column, columns, desk.other, xp)
-    if desk.one is None:
+    g = _fluxes(workspace.along_row, rows, workspace.scratch_a, xp)
+    g += _fluxes(workspace.along_column, columns, workspace.scratch_b, xp)
+    for along, low, high in outlines:
+        g += _clip(along, low, high, workspace.scratch_b, xp)
+    if workspace.scratch_a is None:
         g = g[1:, :, :] - g[:-1, :, :]
         return g[:, :, 1:] - g[:, :, :-1]
-    g = np.subtract(g[1:], g[:-1], out=desk.other[:-1])
+    g = np.subtract(g[1:], g[:-1], out=workspace.scratch_b[:-1])
     # One long run, over the ends of rows too, takes half the time of many short ones.
-    np.subtract(g.reshape(-1)[1:], g.reshape(-1)[:-1], out=desk.one.reshape(-1)[: g.size - 1])
-    return desk.one[:-1, :, :-1]
+    flat = workspace.scratch_a.reshape(-1)
+    np.subtract(g.reshape(-1)[1:], g.reshape(-1)[:-1], out=flat[: g.size - 1])
+    return workspace.scratch_a[:-1, :, :-1]
 
 
-def _fluxes(lattice: Any, lines: list[Any], out: Any, xp: ModuleType) -> Any:
+def _fluxes(along: Any, lines: list[Any], out: Any, xp: ModuleType) -> Any:
     """One kind of lines' part of G, in the array ``out`` if there is one."""
     factor, low, high = lines
+    clipped = _clip(along, low, high, out, xp)
+    return factor * clipped if out is None else np.multiply(factor, clipped, out=out)
+
+
+def _clip(values: Any, low: Any, high: Any, out: Any, xp: ModuleType) -> Any:
+    """`xp.clip`, in the array ``out`` if there is one."""
     if out is None:
-        return factor * xp.clip(lattice, low, high)
-    clipped = np.minimum(np.maximum(lattice, low, out=out), high, out=out)
-    return np.multiply(factor, clipped, out=out)
+        return xp.clip(values, low, high)
+    return np.minimum(np.maximum(values, low, out=out), high, out=out)
 
 
 def _intervals(
