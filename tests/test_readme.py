@@ -137,6 +137,14 @@ def test_every_command_and_option_on_a_page_exists(page):
             raise AssertionError(f"{page.name}: slicemask {name} {args}: {error.message}") from error
 
 
+def test_the_workflows_run_targets_that_exist():
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+    run = set()
+    for workflow in (ROOT / ".github" / "workflows").glob("*.yml"):
+        run |= set(re.findall(r"run: make (\w+)", workflow.read_text()))
+    assert {"test", "core", "lowest", "lint"} <= run <= targets
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_target_and_module_on_a_page_exists(page):
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
