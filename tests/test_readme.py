@@ -134,7 +134,7 @@ def test_every_command_and_option_on_a_page_exists(page):
         try:
             command.make_context(name, list(args))
         except click.UsageError as error:
-            raise AssertionError(f"{page.name}: slicemask {name} {args}: {error.message}") from error
+            raise AssertionError(f"{page.name}: {name} {args}: {error.message}") from error
 
 
 def test_the_workflows_run_targets_that_exist():

@@ -55,7 +55,7 @@ def _run(args, cwd, check=True, **variables):
     args = [str(arg) for arg in args]
     done = subprocess.run(args, cwd=cwd, env=env | variables, capture_output=True, text=True)
     if check and done.returncode != 0:
-        raise AssertionError(f"{' '.join(args)}: exit {done.returncode}\n{done.stdout}{done.stderr}")
+        raise AssertionError(f"{args} ended with {done.returncode}\n{done.stdout}{done.stderr}")
     return done
 
 
@@ -238,11 +238,12 @@ def test_an_editable_install_works_from_the_folder_that_holds_the_clone(tmp_path
     clone = _clone(tmp_path / "slicemask")
     environment = _Environment(tmp_path / "venv")
     environment.install("--editable", clone)
-    code = "import slicemask, slicematch; print(slicemask.__file__, slicemask.Frustum(90, 4).slices)"
+    code = "import slicemask as it, slicematch; print(it.__file__, it.Frustum(90, 4).slices)"
+    commands = [[environment.python, "-m", "slicemask"], [environment.scripts / "slicemask"]]
     for python_path in ("", "."):
         done = _run([environment.python, "-c", code], cwd=tmp_path, PYTHONPATH=python_path)
         assert done.stdout.split() == [str(clone / "slicemask" / "__init__.py"), "4"]
-        for command in ([environment.python, "-m", "slicemask"], [environment.scripts / "slicemask"]):
+        for command in commands:
             done = _run([*command, *_BUILD, "--cache", "."], cwd=tmp_path, PYTHONPATH=python_path)
             assert "2x2x4" in done.stdout
 
