@@ -17,7 +17,7 @@ from slicemask.interrupts import exit_on_signals
 # none: `slicemask --help` answers in 0.1 s, and NumPy and h5py alone take as long.
 _COMMANDS = {
     "build": ("bank", "Build the bank of a pose grid, or of a list of poses."),
-    "info": ("bank", "Say what a bank holds."),
+    "info": ("bank", "Show what a bank holds."),
     "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
     "visualize": ("bank", "Draw the slices of a pose: of BANK, of the newest bank, or of --at."),
     "synth": ("synth", "Generate a city with exact poses, in VIGOR's or KITTI's on-disk format."),
@@ -79,7 +79,7 @@ class _Group(click.Group):
             formatter.write_dl(rows)
 
     def invoke(self, ctx: click.Context) -> Any:
-        # What was imported is no garbage at the end, either.
+        # What was imported is not garbage at the end, either.
         gc.freeze()
         try:
             # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.

@@ -7,7 +7,7 @@ import click
 
 
 class Numbers(click.ParamType):
-    """Numbers parted by commas, such as ``0.5,0.5,90``."""
+    """Numbers separated by commas, such as ``0.5,0.5,90``."""
 
     def __init__(self, names: str, kind: type = float):
         self.name = names
