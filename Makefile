@@ -17,8 +17,8 @@ help:
 	@echo "make demo    generate two cities, train on one, find cameras in the other, draw it"
 	@echo "make quick   run the fast tests of geometry, banks and the command (under a minute)"
 	@echo "make core    run all tests that need no torch"
-	@echo "make lowest  the same with the lowest versions that pyproject.toml allows (needs uv)"
 	@echo "make test    run all tests"
+	@echo "make lowest  run tests with the lowest versions that pyproject.toml allows (needs uv)"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   print the benchmark tables"
 	@echo "make constraints   write constraints.txt with the newest versions (CONTRIBUTING.md)"
@@ -60,8 +60,8 @@ core: $(VENV)/.test
 # In an environment of its own; what only these packages need comes in the newest versions.
 lowest:
 	uv venv --quiet --python $(PYTHON) build/lowest
-	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[test]'
-	build/lowest/bin/python -m pytest -n auto $(CORE_TESTS)
+	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,synth,test]'
+	build/lowest/bin/python -m pytest -n auto -m "not slow"
 
 test: $(VENV)/.full
 	$(BIN)/python -m pytest -n auto
