@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 import pytest
+from click.testing import CliRunner
 
 from slicemask.cli.main import _COMMANDS, main
 
@@ -152,6 +153,12 @@ def test_the_list_of_commands_says_what_each_command_s_own_help_says(name):
     assert command.callback.__module__ == f"slicemask.cli.{module}"
     # The first sentence or paragraph, as click cuts it.
     assert command.get_short_help_str(limit=1000) == line
+
+
+@pytest.mark.filterwarnings("error::DeprecationWarning")
+def test_the_list_of_commands_needs_nothing_that_the_next_click_lacks():
+    shown = CliRunner().invoke(main, ["--help"], catch_exceptions=False, terminal_width=300)
+    assert all(line in shown.output for _, line in _COMMANDS.values())
 
 
 def test_every_command_module_is_in_the_list():

@@ -72,7 +72,7 @@ class _Group(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         limit = formatter.width - 6 - max(map(len, _COMMANDS))
         rows = [
-            (name, click.utils.make_default_short_help(text, limit))
+            (name, click.Command(name, help=text).get_short_help_str(limit))
             for name, (_, text) in _COMMANDS.items()
         ]
         with formatter.section("Commands"):
