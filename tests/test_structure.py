@@ -157,7 +157,7 @@ def test_the_list_of_commands_says_what_each_command_s_own_help_says(name):
 
 @pytest.mark.filterwarnings("error::DeprecationWarning")
 def test_the_list_of_commands_needs_nothing_that_the_next_click_lacks():
-    shown = CliRunner().invoke(main, ["--help"], catch_exceptions=False, terminal_width=300)
+    shown = CliRunner().invoke(main, ["--help"], catch_exceptions=False, terminal_width=80)
     assert all(line in shown.output for _, line in _COMMANDS.values())
 
 

@@ -242,7 +242,10 @@ def visualize(
     cache: str | None,
     as_json: bool,
 ) -> None:
-    """Draw the slices of a pose: of BANK, of the newest bank, or of --at."""
+    """Draw the slices of a pose.
+
+    The pose is one of BANK or of the newest bank, or any other with --at.
+    """
     from slicemask import plot, view
 
     if at is not None and (bank is not None or pose is not None):

@@ -45,7 +45,10 @@ from slicemask.cli.run_options import (
 @refine_option
 @as_json_option
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
-    """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
+    """Measure the errors of a trained RUN.
+
+    And the errors that would remain if the best candidate were always chosen.
+    """
     check_model_installed()
     from slicematch.evaluation.evaluate import evaluate
 
@@ -93,7 +96,10 @@ def benchmark(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Time encoding, aggregation and scoring: of a trained RUN, or of the settings given."""
+    """Time encoding, aggregation and scoring.
+
+    Of a trained RUN, or of an untrained model with the settings given.
+    """
     check_model_installed()
     from slicematch.evaluation.timing import time_run, time_settings
 

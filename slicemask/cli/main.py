@@ -19,22 +19,13 @@ _COMMANDS = {
     "build": ("bank", "Build the bank of a pose grid, or of a list of poses."),
     "info": ("bank", "Show what a bank holds."),
     "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
-    "visualize": ("bank", "Draw the slices of a pose: of BANK, of the newest bank, or of --at."),
-    "synth": ("synth", "Generate a city with exact poses, in VIGOR's or KITTI's on-disk format."),
+    "visualize": ("bank", "Draw the slices of a pose."),
+    "synth": ("synth", "Generate a city with exact poses, on disk as VIGOR or KITTI."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
-    "evaluate": (
-        "evaluate",
-        "Measure the errors of a trained RUN, and what the candidate grid alone costs.",
-    ),
-    "calibrate": (
-        "train",
-        "Fit what makes scores of RUN probabilities, on its validation part; training does so too.",
-    ),
+    "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
+    "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
-    "benchmark": (
-        "evaluate",
-        "Time encoding, aggregation and scoring: of a trained RUN, or of the settings given.",
-    ),
+    "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 
 

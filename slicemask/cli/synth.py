@@ -24,7 +24,7 @@ from slicemask.cli.output import print_result, progress_bar
 @click.option("--jobs", type=int, help="Processes.  [default: all processors]")
 @as_json_option
 def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
-    """Generate a city with exact poses, in VIGOR's or KITTI's on-disk format.
+    """Generate a city with exact poses, on disk as VIGOR or KITTI.
 
     An interrupted command continues where it stopped when it is repeated.
     """
