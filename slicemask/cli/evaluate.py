@@ -23,7 +23,7 @@ from slicemask.cli.run_options import (
 )
 
 
-@click.command()
+@click.command(short_help="Measure the errors of a trained RUN.")
 @run_options
 @click.option(
     "--split",
@@ -45,10 +45,7 @@ from slicemask.cli.run_options import (
 @refine_option
 @as_json_option
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
-    """Measure the errors of a trained RUN.
-
-    And the errors that would remain if the best candidate were always chosen.
-    """
+    """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
     check_model_installed()
     from slicematch.evaluation.evaluate import evaluate
 
