@@ -51,7 +51,7 @@ def test_build_says_what_it_built_and_then_that_it_is_there(run, bank):
     assert bank.exists()
     again = run(*SMALL)
     assert again.exit_code == 0
-    assert "is there already and matches" in again.output
+    assert "already exists and matches" in again.output
     stamp = bank.stat().st_mtime_ns
     forced = run(*SMALL, "--force")
     assert "built in" in forced.output

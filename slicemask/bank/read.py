@@ -344,7 +344,7 @@ def open_bank(path: str | Path, check: bool = True) -> Bank:
     except FileNotFoundError:
         raise BankError(f"{path}: there is no such bank") from None
     except PermissionError:
-        raise BankError(f"{path}: may not be read") from None
+        raise BankError(f"{path}: permission denied; change the file's permissions") from None
     except BankError:
         raise
     except _HDF5_ERRORS as error:

@@ -75,7 +75,7 @@ def _fast_thread_switching() -> Iterator[None]:
 )
 @click.option("--out", metavar="FILE", help="Where the bank goes.  [default: a name in the cache]")
 @cache_option
-@click.option("--force", is_flag=True, help="Build again, and replace the bank that is there.")
+@click.option("--force", is_flag=True, help="Build again, and replace an existing bank.")
 @click.option("--jobs", type=int, help="Threads.  [default: all processors]")
 @as_json_option
 def build(
@@ -135,7 +135,7 @@ def build(
     print_result(
         as_json,
         content,
-        f"{result.path}: is there already and matches ({figures}); --force builds it again"
+        f"{result.path}: already exists and matches ({figures}); --force builds it again"
         if result.reused
         else f"{result.path}: built in {content['seconds']:.2f} s ({figures})",
     )
@@ -145,7 +145,7 @@ def build(
 @click.argument("bank")
 @as_json_option
 def info(bank: str, as_json: bool) -> None:
-    """Say what a bank holds."""
+    """Show what a bank holds."""
     with slicemask.open_bank(bank) as opened:
         spec = opened.spec
         content = {
@@ -199,7 +199,7 @@ def verify(
     from slicemask.bank.verify import verify_bank
 
     if everything and sample is not None:
-        raise click.UsageError("Give either --sample or --all.")
+        raise click.UsageError("Give only one of --sample and --all.")
     count = None if everything else 2000 if sample is None else sample
     with slicemask.open_bank(bank) as opened, progress_bar("verifying", "poses") as progress:
         found = verify_bank(opened, count, jobs, progress)
@@ -255,7 +255,10 @@ def visualize(
     cache: str | None,
     as_json: bool,
 ) -> None:
-    """Draw the slices of a pose: of BANK, of the newest bank, or of --at."""
+    """Draw the slices of a pose.
+
+    The pose is one of BANK or of the newest bank, or any other with --at.
+    """
     from slicemask import plot, view
 
     if at is not None and (bank is not None or pose is not None):

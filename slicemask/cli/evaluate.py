@@ -24,7 +24,7 @@ from slicemask.cli.run_options import (
 )
 
 
-@click.command()
+@click.command(short_help="Measure the errors of a trained RUN.")
 @run_options
 @click.option(
     "--split",
@@ -121,7 +121,10 @@ def benchmark(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Time encoding, aggregation and scoring: of a trained RUN, or of the settings given."""
+    """Time encoding, aggregation and scoring.
+
+    Of a trained RUN, or of an untrained model with the settings given.
+    """
     check_model_installed()
     from slicematch.evaluation.timing import time_run, time_settings
 
