@@ -1,6 +1,9 @@
 """Image encoders: f_g and f_a of SliceMatch, any timm backbone cut at one stride."""
 
+import hashlib
+import math
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -8,11 +11,14 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from slicematch import _torchvision  # noqa: F401  before timm: see there
-from slicematch.devices import Precision, autocast
+from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, Triple
+from slicematch.devices import autocast
 from slicematch.errors import ConfigError, WeightsError
+from slicematch.precision import Precision
 
 import timm  # isort: skip
-from timm.layers import Format  # isort: skip
+from timm.layers.format import Format  # isort: skip
+from timm.models import get_pretrained_cfg  # isort: skip
 
 
 class Encoder(nn.Module):
@@ -40,6 +46,15 @@ class Encoder(nn.Module):
         C, the channels of the feature map.
     feature_size : (height, width)
         H and W of the feature map.
+    mean, std : (red, green, blue)
+        Of the images in [0, 1] that the weights of this name were trained with, by timm's data
+        configuration: what images are to be normalised with.
+    weights_source : str or None
+        Where the weights come from: timm's name with its tag, such as "resnet50.a1_in1k", or the
+        file's name with the start of its SHA-256; None for random ones.
+    smallest_batch : int
+        The smallest batch it trains on: 2 where so little is left of an image that batch
+        normalisation has nothing to average over in one, else 1.
     precision : {"32-true", "16-mixed", "bf16-mixed"}
         In which the backbone computes; "32-true" leaves it to an autocast around it, if any.
 
@@ -49,13 +64,15 @@ class Encoder(nn.Module):
         If timm has no such model, or the model has no stage of that stride or cannot take
         images of that size.
     WeightsError
-        If the weights cannot be had or do not fit the model.
+        If the weights are not available or do not fit the model.
 
     Examples
     --------
     >>> encoder = Encoder("test_resnet", (64, 128), stride=16, weights="none")
     >>> encoder.channels, encoder.feature_size
     (192, (4, 8))
+    >>> encoder.mean
+    (0.5, 0.5, 0.5)
     """
 
     def __init__(
@@ -68,11 +85,17 @@ class Encoder(nn.Module):
         super().__init__()
         self.precision: Precision = "32-true"
         options, stage = _find_stage(name, image_size, stride)
-        self.backbone = _create(name, {**options, "out_indices": (stage,)}, weights)
+        self.backbone, self.weights_source = _create(
+            name, {**options, "out_indices": (stage,)}, weights
+        )
+        self.mean, self.std = encoder_normalisation(name)
         # Some backbones give [B, H, W, C].
         self.channels_last = getattr(self.backbone, "output_fmt", None) == Format.NHWC
-        self.channels: int = self.backbone.feature_info.channels()[-1]
-        self.feature_size = _feature_size(name, options, stage, image_size, self.channels_last)
+        shape, self.smallest_batch = _try_images(name, options, stage, image_size)
+        if self.channels_last:
+            shape = shape[0], shape[3], shape[1], shape[2]
+        self.channels = shape[1]
+        self.feature_size = shape[2:]
 
     def forward(self, images: Tensor) -> Tensor:
         """Feature maps of images.
@@ -80,7 +103,7 @@ class Encoder(nn.Module):
         Parameters
         ----------
         images : float [B, 3, height, width]
-            Normalised with ImageNet's mean and standard deviation.
+            Normalised with `mean` and `std`.
 
         Returns
         -------
@@ -93,7 +116,39 @@ class Encoder(nn.Module):
         return features.permute(0, 3, 1, 2) if self.channels_last else features
 
 
-def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[dict, int]:
+def encoder_normalisation(name: str) -> tuple[Triple, Triple]:
+    """Mean and deviation of the images that a timm model's pretrained weights were trained with.
+
+    Parameters
+    ----------
+    name : str
+        A timm model, with or without the tag of its weights.
+
+    Returns
+    -------
+    mean, std : (red, green, blue)
+        Of images in [0, 1]; ImageNet's where timm knows none.
+
+    Examples
+    --------
+    >>> encoder_normalisation("tf_efficientnet_lite0")
+    ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+    >>> encoder_normalisation("vgg16")[0]
+    (0.485, 0.456, 0.406)
+    """
+    known = get_pretrained_cfg(name) if timm.is_model(name.split(".")[0]) else None
+    mean, std = (None, None) if known is None else (known.mean, known.std)
+    return _triple(mean, IMAGENET_MEAN), _triple(std, IMAGENET_STD)
+
+
+def _triple(values: Any, default: Triple) -> Triple:
+    if values is None or len(values) != 3:
+        return default
+    red, green, blue = map(float, values)
+    return red, green, blue
+
+
+def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[dict[str, Any], int]:
     """The options that fit the backbone to the image size, and its last stage of that stride."""
     # timm also takes addresses on a hub; a run's settings may not send anyone there.
     if not timm.is_model(name.split(".")[0]):
@@ -105,15 +160,17 @@ def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[di
         with torch.device("meta"):  # shapes only: no memory, no random numbers
             whole = timm.create_model(name)
             # Transformers are built for one image size.
-            options = {"img_size": image_size} if hasattr(whole, "set_input_size") else {}
-            strides = timm.create_model(name, features_only=True, **options).feature_info
+            options: dict[str, Any] = (
+                {"img_size": image_size} if hasattr(whole, "set_input_size") else {}
+            )
+            net: Any = timm.create_model(name, features_only=True, **options)
+            strides: list[int] = net.feature_info.reduction()
     except Exception as error:  # each backbone refuses in its own way
         raise ConfigError(
             f"encoder {name!r} cannot be made for images of {_size(image_size)} "
             f"({_first_line(error)}); name one that gives feature maps of such images, such as "
             "vgg16 or resnet50"
         ) from error
-    strides = strides.reduction()
     if stride not in strides:
         raise ConfigError(
             f"encoder {name!r} has no stage of stride {stride}; it has "
@@ -122,33 +179,55 @@ def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[di
     return options, max(stage for stage, found in enumerate(strides) if found == stride)
 
 
-def _feature_size(
-    name: str, options: dict, stage: int, image_size: tuple[int, int], channels_last: bool
-) -> tuple[int, int]:
+def _try_images(
+    name: str, options: dict[str, Any], stage: int, image_size: tuple[int, int]
+) -> tuple[tuple[int, int, int, int], int]:
+    """The shape of one image's features, and the smallest batch that the backbone trains on."""
+    multiple = 32
     try:
         with torch.device("meta"):
-            net = timm.create_model(name, features_only=True, out_indices=(stage,), **options)
-            shape = net(torch.zeros(1, 3, *image_size))[-1].shape
-    except (RuntimeError, ValueError, AssertionError) as error:
+            net: Any = timm.create_model(name, features_only=True, out_indices=(stage,), **options)
+            multiple = math.lcm(multiple, *net.feature_info.reduction())
+            image = torch.zeros(1, 3, *image_size)
+            # Batch normalisation takes a single value of a channel only where it does not train.
+            shape = tuple(net.eval()(image)[-1].shape)
+            smallest = 1 if _trains_on(net.train(), image) else 2
+    except Exception as error:  # each backbone refuses in its own way
         raise ConfigError(
-            f"encoder {name!r} cannot take images of {_size(image_size)} "
-            f"({_first_line(error)}); choose sides that its stride divides"
+            f"encoder {name!r} does not take images of {_size(image_size)} "
+            f"({_first_line(error)}); try sides that are multiples of {multiple}"
         ) from error
-    return tuple(shape[1:3]) if channels_last else tuple(shape[2:4])
+    return shape, smallest
 
 
-def _create(name: str, options: dict, weights: str | Path) -> nn.Module:
+def _trains_on(net: nn.Module, image: Tensor) -> bool:
+    """Whether a network in training takes a batch of one image [1, 3, height, width]."""
+    try:
+        net(image)
+    except ValueError as error:
+        if "more than 1 value per channel" not in str(error):
+            raise
+        return False
+    return True
+
+
+def _create(
+    name: str, options: dict[str, Any], weights: str | Path
+) -> tuple[nn.Module, str | None]:
+    """The backbone, and where its weights come from."""
     if str(weights) == "none":
-        return timm.create_model(name, features_only=True, **options)
+        return timm.create_model(name, features_only=True, **options), None
     if str(weights) == "imagenet":
         try:
-            return timm.create_model(name, features_only=True, pretrained=True, **options)
+            backbone = timm.create_model(name, features_only=True, pretrained=True, **options)
         except (OSError, RuntimeError) as error:
             raise WeightsError(
-                f"the ImageNet weights of encoder {name!r} cannot be had from the model hub "
+                f"the ImageNet weights of encoder {name!r} are not available from the model hub "
                 f"({_first_line(error)}); connect once so that they are cached, or name a "
                 "downloaded file of them as the weights, or start from random ones with 'none'"
             ) from error
+        known = get_pretrained_cfg(name)
+        return backbone, f"{known.architecture}.{known.tag}" if known and known.tag else name
     state = _read_weights(Path(weights))
     try:
         backbone = timm.create_model(
@@ -168,14 +247,16 @@ def _create(name: str, options: dict, weights: str | Path) -> nn.Module:
         flat = parameter.detach().flatten()
         if not any(torch.equal(flat, tensor.to(flat)) for tensor in held.get(len(flat), ())):
             raise _unfit(weights, name, f"the file lacks {key}")
-    return backbone
+    with Path(weights).open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return backbone, f"{Path(weights).name} (sha256 {digest[:12]})"
 
 
 def _read_weights(path: Path) -> dict[str, Tensor]:
     """Read a state dict without running anything that the file may hold."""
     try:
         if path.suffix == ".safetensors":
-            state = load_file(path)
+            state: Any = load_file(path)
         else:
             state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:

@@ -80,7 +80,14 @@ class TrainConfig:
         Pixels along each side of the aerial images.
     image_mean, image_std : (red, green, blue) or None
         Taken out of the images, whose values are in [0, 1]; None until training fills in those
-        that the encoder's weights were trained with.
+        that the encoder's weights were trained with. Runs that hold none took ImageNet's.
+    weights_source : str or None
+        Where the encoders' weights came from, filled in by training: timm's name with its tag, such
+        as "resnet50.a1_in1k", or the file's name with the start of its SHA-256; None for random
+        ones, and in runs of before.
+    tile_side_m : float or None
+        Median side of the training part's tiles on the ground, in metres, filled in by training;
+        None in runs of before.
     slices : int
         N, the slices of a ground image.
     cross_view_attention : bool
@@ -162,6 +169,8 @@ class TrainConfig:
     aerial_size: int = 512
     image_mean: Triple | None = field(default=None, metadata=_KEPT)
     image_std: Triple | None = field(default=None, metadata=_KEPT)
+    weights_source: str | None = field(default=None, metadata=_KEPT)
+    tile_side_m: float | None = field(default=None, metadata=_KEPT)
     slices: int = 16
     cross_view_attention: bool = True
     alpha: float | None = field(default=4.0, metadata={"none": "K"})
@@ -210,6 +219,9 @@ class TrainConfig:
         )
         size = self.ground_size
         self._check("ground_size", size is None or min(size) >= 1, "two sides of at least 1")
+        std, side = self.image_std, self.tile_side_m
+        self._check("image_std", std is None or min(std) > 0, "three numbers greater than 0")
+        self._check("tile_side_m", side is None or side > 0, "greater than 0")
         if any(getattr(self, name) is None for name in _FROM_DATA):
             self._complete()
         for name in ("train_grid", "test_grid"):

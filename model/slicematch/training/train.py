@@ -5,52 +5,39 @@ epoch's number alone, so a run that is resumed from its last finished epoch repe
 an uninterrupted one does.
 """
 
-import json
 import logging
 import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.utils.data import DistributedSampler
 
-from slicemask import PoseGrid, build_bank, slice_masks
-from slicemask.files import check_folder, write_text
-from slicemask.plot import save_figure
-from slicemask.threads import thread_count
+from slicemask import PoseGrid, build_bank
+from slicemask.files import check_folder
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
-from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
-from slicematch.data.images import denormalise
-from slicematch.data.loading import PoseLoader
-from slicematch.devices import device_name
+from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import calibrate
-from slicematch.evaluation.drawing import draw_estimate
-from slicematch.evaluation.metrics import pose_errors
 from slicematch.localization.localizer import load_candidates
+from slicematch.network.encoders import encoder_normalisation
 from slicematch.network.slicematch import SliceMatch
-from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import RunFolder, build_model, load_weights, read_checkpoint
 from slicematch.scoring.candidates import Candidates
-from slicematch.scoring.scores import heat_map, score_candidates, score_masks
-from slicematch.training.losses import contrastive_loss
-from slicematch.training.negatives import jittered_candidates, near_poses
+from slicematch.training.callbacks import make_callbacks
+from slicematch.training.loaders import PoseDataModule
+from slicematch.training.module import TrainingModule
+from slicematch.training.trainer import make_trainer
 
 import lightning.pytorch as lightning  # isort: skip
-from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar  # isort: skip
-from lightning.pytorch.loggers import TensorBoardLogger  # isort: skip
-from lightning.pytorch.utilities.exceptions import MisconfigurationException  # isort: skip
+from lightning.pytorch.callbacks import RichProgressBar  # isort: skip
 
 log = logging.getLogger(__name__)
 
 
 # Settings that a resumed run may change: where things are and how long to train, not what.
-_FREE = (
+_MAY_CHANGE_ON_RESUME = (
     "root",
     "split_dir",
     "epochs",
@@ -58,6 +45,8 @@ _FREE = (
     "accelerator",
     "heat_map_every",
     "max_bad_samples",
+    "tile_side_m",  # which runs of before do not say, and the data do
+    "weights_source",
 )
 
 
@@ -110,34 +99,36 @@ def train(
             "another folder with --out"
         )
     lightning.seed_everything(config.seed, workers=True, verbose=False)
+    last = run.checkpoint("last")
+    resuming = resume and last.is_file()
+    config = _with_normalisation(config, run.load_config() if resuming else None)
     training = config.dataset("train")
     validation = config.dataset("validation") if config.validation_fraction > 0 else None
     datasets = [training] if validation is None else [training, validation]
-    if config.hfov_deg is None:
-        config = replace(config, hfov_deg=training.hfov_deg)
-    last = run.checkpoint("last")
-    resuming = resume and last.is_file()
+    config = _with_facts_of_the_data(config, training)
     if resuming:
         _check_same(run, config)
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
     model = build_model(config, weights="none" if resuming else None)
+    if not resuming:
+        config = replace(config, weights_source=model.ground_encoder.weights_source)
+    _check_batches(config, model, len(training))
     first_epoch = _finished_epoch(last, model) + 1 if resuming else 0
-    grids = {name: config.grid(name) for name in ("train_grid", "test_grid")}
     train_candidates, test_candidates = (
-        _candidates(config, grid, model.cells, cache) for grid in grids.values()
+        _candidates(config, config.grid(name), model.cells, cache)
+        for name in ("train_grid", "test_grid")
     )
 
-    callbacks = [*_checkpoints(run, validated=validation is not None), _Metrics(run), _Moved()]
-    if config.heat_map_every:
-        shown = training if validation is None else validation
-        callbacks.append(_Example(run, shown, grids["test_grid"], config.heat_map_every))
+    callbacks = make_callbacks(run, config, training, validation)
     if progress:
         callbacks.append(RichProgressBar(console_kwargs={"stderr": True}))
-    trainer = _trainer(config, run, callbacks, progress)
+    trainer = make_trainer(config, run, callbacks, progress)
 
     if is_first_process():
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
+        if config.weights_source is not None and not resuming:
+            log.info("the encoders start from the weights %s", config.weights_source)
         _warn_of_places_outside(config, datasets)
     bad_sample_log = BadSampleLog(
         run.bad_samples_file, config.max_bad_samples, keep=resuming or not is_first_process()
@@ -145,7 +136,7 @@ def train(
     for dataset in datasets:
         dataset.bad_sample_log = bad_sample_log
     module = TrainingModule(config, model, train_candidates, test_candidates)
-    data = _Data(config, training, validation, first_epoch)
+    data = PoseDataModule(config, training, validation, first_epoch)
     with warnings.catch_warnings():
         # Of Lightning's own use of torch; the checkpoints folder of a resumed run is not empty.
         warnings.filterwarnings("ignore", message=".*isinstance.treespec, LeafSpec.")
@@ -178,17 +169,60 @@ def is_first_process() -> bool:
     return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
+def _with_normalisation(config: TrainConfig, before: TrainConfig | None) -> TrainConfig:
+    """The settings with the images' mean and deviation: the run's own, or its encoder's."""
+    if before is not None:
+        mean, std = before.normalisation()
+    else:
+        mean, std = encoder_normalisation(config.encoder)
+    config = replace(
+        config, image_mean=config.image_mean or mean, image_std=config.image_std or std
+    )
+    if before is not None and config.weights_source is None:
+        config = replace(config, weights_source=before.weights_source)
+    return config
+
+
+def _with_facts_of_the_data(config: TrainConfig, training: PoseDataset) -> TrainConfig:
+    """The settings with what only the data say: field of view and size of the tiles."""
+    return replace(
+        config,
+        hfov_deg=training.hfov_deg if config.hfov_deg is None else config.hfov_deg,
+        tile_side_m=float(np.median(training.tile_metres)),
+    )
+
+
+def _check_batches(config: TrainConfig, model: SliceMatch, samples: int) -> None:
+    """Refuse a batch that is too small for the encoders, which would end the first epoch."""
+    encoders = model.ground_encoder, model.aerial_encoder
+    needed = max(encoder.smallest_batch for encoder in encoders)
+    each = -(-samples // config.devices)  # the last ones are repeated
+    smallest = min(config.batch_size, each % config.batch_size or config.batch_size)
+    if smallest < needed:
+        raise ConfigError(
+            f"batch_size is {config.batch_size}, and of {each} samples a batch of {smallest} is "
+            f"left; encoder {config.encoder!r} trains on images this small in batches of {needed} "
+            "or more, for its batch normalisation; choose another batch_size or larger images"
+        )
+
+
 def _check_same(run: RunFolder, config: TrainConfig) -> None:
     """Refuse to resume a run with other settings than its own."""
-    before, now = run.load_config().flat(), config.flat()
+    before, now = _comparable(run.load_config()).flat(), config.flat()
     # A schedule that comes down at the end is laid out for a number of epochs.
     fixed = {"epochs"} if config.schedule != "constant" else set()
     for name, value in now.items():
-        if (name not in _FREE or name in fixed) and before[name] != value:
+        if (name not in _MAY_CHANGE_ON_RESUME or name in fixed) and before[name] != value:
             raise RunError(
                 f"{run.path}: was trained with {name} {before[name]!r}, and {value!r} is asked "
                 "for; resume with the run's own settings, or train into another folder"
             )
+
+
+def _comparable(config: TrainConfig) -> TrainConfig:
+    """A run's settings with what runs of before do not say of themselves."""
+    mean, std = config.normalisation()
+    return replace(config, image_mean=mean, image_std=std)
 
 
 def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
@@ -210,7 +244,8 @@ def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
 def _warn_of_places_outside(config: TrainConfig, datasets: list[PoseDataset]) -> None:
     """Say how many true places no candidate can find."""
     outside = sum(
-        dataset.count_outside(config.extent, place_prior=config.place_prior) for dataset in datasets
+        dataset.count_outside(config.grid("test_grid").extent, place_prior=config.place_prior)
+        for dataset in datasets
     )
     if outside:
         log.warning(
@@ -228,337 +263,3 @@ def _candidates(
     bank = build_bank(grid, config.frustum(), cells, cache=cache).path
     candidates, _ = load_candidates(bank, config.frustum(), cells)
     return candidates.within(config.heading_prior(), config.place_prior)
-
-
-def _checkpoints(run: RunFolder, validated: bool) -> list[lightning.Callback]:
-    best, last = run.checkpoint("best"), run.checkpoint("last")
-    shared = {"enable_version_counter": False, "save_on_train_epoch_end": True}
-    return [
-        ModelCheckpoint(
-            dirpath=best.parent,
-            filename=best.stem,
-            monitor="validation/place_mean_m" if validated else "train/loss_epoch",
-            save_weights_only=True,
-            **shared,
-        ),
-        ModelCheckpoint(dirpath=last.parent, filename=last.stem, **shared),
-    ]
-
-
-def _trainer(
-    config: TrainConfig, run: RunFolder, callbacks: list[lightning.Callback], progress: bool
-) -> lightning.Trainer:
-    accelerator = device_name(config.accelerator)
-    processors = thread_count(None)
-    if accelerator == "cpu" and config.devices > processors:
-        raise ConfigError(
-            f"devices is {config.devices}; on the CPU each is a process, so it must be at most "
-            f"{processors}, the number of processors"
-        )
-    try:
-        return lightning.Trainer(
-            default_root_dir=run.path,
-            max_epochs=config.epochs,
-            accelerator=accelerator,
-            devices=config.devices,
-            # Some backbones have parameters beyond the stage they are cut at.
-            strategy="ddp_find_unused_parameters_true" if config.devices > 1 else "auto",
-            precision=config.precision,
-            logger=TensorBoardLogger(run.path, name="tensorboard", version=""),
-            callbacks=callbacks,
-            enable_progress_bar=progress,
-            enable_model_summary=False,
-            num_sanity_val_steps=0,
-            limit_val_batches=1.0 if config.validation_fraction > 0 else 0,
-            log_every_n_steps=1,
-            use_distributed_sampler=False,  # the loaders have their own
-        )
-    except (MisconfigurationException, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(
-            f"accelerator {config.accelerator!r} with {config.devices} devices and precision "
-            f"{config.precision!r} cannot be used here ({reason})"
-        ) from error
-
-
-class TrainingModule(lightning.LightningModule):
-    """SliceMatch with its loss and optimiser.
-
-    Parameters
-    ----------
-    config : TrainConfig
-        With `hfov_deg` known.
-    model : SliceMatch
-        What is trained.
-    train_candidates, test_candidates : Candidates
-        Of the training and the test grid, within the priors.
-    """
-
-    def __init__(
-        self,
-        config: TrainConfig,
-        model: SliceMatch,
-        train_candidates: Candidates,
-        test_candidates: Candidates,
-    ) -> None:
-        super().__init__()
-        self.config = config
-        self.model = model
-        self.frustum = config.frustum()
-        self.train_candidates = train_candidates
-        self.test_candidates = test_candidates
-        self.train_grid = config.grid("train_grid")
-        self.prior = PosePrior(config.extent, config.heading_prior(), config.place_prior)
-        self.jittered_candidates: list[Candidates] = []
-        if config.grid_jitter:
-            self.jittered_candidates = jittered_candidates(
-                train_candidates.poses,
-                self.train_grid,
-                self.prior,
-                self.frustum,
-                model.cells,
-                config.seed,
-            )
-        self._estimates: list[tuple[Tensor, ...]] = []
-
-    def configure_optimizers(self) -> torch.optim.Optimizer | dict[str, Any]:
-        """Adam, as in the paper, with its constant learning rate or the one-cycle schedule."""
-        optimizer = torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
-        if self.config.schedule == "constant":
-            return optimizer
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer,
-            max_lr=self.config.learning_rate,
-            total_steps=int(self.trainer.estimated_stepping_batches),
-            pct_start=0.1,
-            cycle_momentum=False,  # the betas are Adam's own throughout
-        )
-        return {
-            "optimizer": optimizer,
-            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
-        }
-
-    def on_fit_start(self) -> None:
-        """Bring the candidates to the model's device."""
-        self.train_candidates = self.train_candidates.to(self.device)
-        self.test_candidates = self.test_candidates.to(self.device)
-        self.jittered_candidates = [some.to(self.device) for some in self.jittered_candidates]
-
-    def on_train_epoch_start(self) -> None:
-        """Let the epoch's draws depend on the seed and the epoch's number alone."""
-        self.trainer.datamodule.training.set_epoch(self.current_epoch)
-        state = [self.config.seed, self.current_epoch, self.global_rank]
-        torch.manual_seed(int(np.random.SeedSequence(state).generate_state(1)[0]))
-
-    def training_step(self, batch: dict[str, Any], _: int) -> Tensor:
-        """Loss of a batch: the exact true pose against the training grid (eq. 1)."""
-        ground = self.model.encode_ground(batch["ground"])
-        aerial = self.model.encode_aerial(batch["aerial"])
-        attention = self.model.attend(aerial, ground)
-        masks = slice_masks(batch["pose"], self.frustum, self.model.cells, engine="rays")
-        truth = score_masks(ground, aerial, attention, masks[:, None])[:, 0]
-        scores = score_candidates(ground, aerial, attention, self._negatives())
-        if self.config.near_negatives:
-            near = near_poses(
-                batch["pose"],
-                self.config.near_negatives,
-                self.train_grid,
-                self.prior,
-            )
-            masks = slice_masks(near.flatten(0, 1), self.frustum, self.model.cells, engine="rays")
-            masks = masks.unflatten(0, near.shape[:2])
-            scores = torch.cat([scores, score_masks(ground, aerial, attention, masks)], dim=1)
-        loss = contrastive_loss(truth, scores, self.config.alpha, self.config.tau).mean()
-        self._check_finite("training loss", loss)
-        self.log(
-            "train/loss",
-            loss,
-            on_step=True,
-            on_epoch=True,
-            prog_bar=True,
-            batch_size=len(ground),
-            sync_dist=True,
-        )
-        return loss
-
-    def _check_finite(self, what: str, values: Tensor) -> None:
-        """Stop where numbers are finite no longer, before a checkpoint is written."""
-        finite = bool(values.isfinite().all())
-        # All devices stop together: one that went on would wait for the others for ever.
-        if not self.trainer.strategy.reduce_boolean_decision(finite):
-            raise RunError(
-                f"the {what} of epoch {self.current_epoch} is not finite: training with "
-                f"learning_rate {self.config.learning_rate:g} has diverged; the checkpoints of "
-                "epochs before, if any, are kept; train into another folder with a lower "
-                "learning_rate"
-            )
-
-    def _negatives(self) -> Candidates:
-        """The training grid, or one of its offsets at random."""
-        if not self.jittered_candidates:
-            return self.train_candidates
-        count = len(self.jittered_candidates)
-        return self.jittered_candidates[int(torch.randint(count, ()))]
-
-    def validation_step(self, batch: dict[str, Any] | None, _: int) -> None:
-        """Estimates of a batch on the test grid."""
-        if batch is None:  # no sample of it could be read
-            return
-        scores = self.model(batch["ground"], batch["aerial"], self.test_candidates)
-        best = scores.max(dim=1)
-        estimates = torch.from_numpy(self.test_candidates.poses)[best.indices.cpu()]
-        metres = batch["metres_per_pixel"].cpu() * batch["aerial"].shape[-1]
-        self._estimates.append((best.values.cpu(), estimates, batch["pose"].cpu(), metres))
-
-    def on_validation_epoch_end(self) -> None:
-        """Log mean and median errors."""
-        if not self._estimates:
-            return
-        scores, estimates, truths, metres = (
-            torch.cat(parts) for parts in zip(*self._estimates, strict=True)
-        )
-        self._estimates.clear()
-        self._check_finite("validation score", scores)
-        found = pose_errors(estimates.numpy(), truths.numpy(), metres.numpy()).summary()
-        for name, value in found.items():
-            if "recall" not in name:
-                self.log(
-                    f"validation/{name}",
-                    value,
-                    prog_bar=name == "place_mean_m",
-                    batch_size=len(truths),
-                    sync_dist=True,
-                )
-
-
-class _Data(lightning.LightningDataModule):
-    """Loaders whose order and draws depend on seed and epoch alone, on any number of devices."""
-
-    def __init__(
-        self,
-        config: TrainConfig,
-        training: PoseDataset,
-        validation: PoseDataset | None,
-        first_epoch: int,
-    ) -> None:
-        super().__init__()
-        self.config = config
-        self.training = training
-        self.validation = validation
-        self.first_epoch = first_epoch
-
-    def train_dataloader(self) -> PoseLoader:
-        return self._loader(self.training, shuffle=True)
-
-    def val_dataloader(self) -> PoseLoader | list:
-        return [] if self.validation is None else self._loader(self.validation, shuffle=False)
-
-    def _loader(self, dataset: PoseDataset, shuffle: bool) -> PoseLoader:
-        sampler = DistributedSampler(
-            dataset,
-            num_replicas=self.trainer.world_size,
-            rank=self.trainer.global_rank,
-            shuffle=shuffle,
-            seed=self.config.seed,
-        )
-        # Lightning numbers the later epochs, but starts the first one's workers before it has.
-        sampler.set_epoch(self.first_epoch)
-        dataset.set_epoch(self.first_epoch)
-        return PoseLoader(
-            dataset,
-            self.config.batch_size,
-            sampler=sampler,
-            num_workers=self.config.workers,
-            collate_fn=collate,
-            # Its own: a loader made before or after an epoch is seeded would move what a model
-            # with dropout draws in it.
-            generator=torch.Generator().manual_seed(self.config.seed),
-            pin_memory=torch.cuda.is_available(),
-        )
-
-
-class _Metrics(lightning.Callback):
-    """Writes a line of JSON at the end of each epoch."""
-
-    def __init__(self, run: RunFolder) -> None:
-        self.path = run.metrics_file
-
-    def on_train_start(self, trainer: lightning.Trainer, _: lightning.LightningModule) -> None:
-        """Forget the lines of epochs that a resumed run goes through again."""
-        if trainer.is_global_zero and self.path.exists():
-            lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
-            kept = "".join(lines[: trainer.current_epoch])
-            write_text(self.path, kept, RunError)
-
-    def on_train_epoch_end(self, trainer: lightning.Trainer, _: lightning.LightningModule) -> None:
-        if not trainer.is_global_zero:
-            return
-        metrics = {
-            name.removesuffix("_epoch"): value.item()
-            for name, value in trainer.callback_metrics.items()
-            if name != "train/loss" and not name.endswith("_step")
-        }
-        line = {"epoch": trainer.current_epoch, "step": trainer.global_step, **metrics}
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line, allow_nan=False) + "\n")
-
-
-class _Moved(lightning.Callback):
-    """Lets a run whose folder was moved know its best checkpoint and score again."""
-
-    def on_load_checkpoint(
-        self, trainer: lightning.Trainer, _: lightning.LightningModule, checkpoint: dict[str, Any]
-    ) -> None:
-        folder = str(trainer.checkpoint_callback.dirpath)
-        for state in checkpoint["callbacks"].values():
-            before = state.get("dirpath")
-            if not before:
-                continue
-            moved = {
-                name: folder + value.removeprefix(before)
-                for name, value in state.items()
-                if isinstance(value, str) and value.startswith(before)
-            }
-            scores = {
-                folder + path.removeprefix(before): score
-                for path, score in state["best_k_models"].items()
-            }
-            state.update(moved, best_k_models=scores)
-
-
-class _Example(lightning.Callback):
-    """Draws the heat map of one sample every so many epochs."""
-
-    def __init__(self, run: RunFolder, dataset: PoseDataset, grid: PoseGrid, every: int) -> None:
-        self.folder = run.path / "heat_maps"
-        self.dataset = dataset
-        self.grid = grid
-        self.every = every
-
-    def on_train_epoch_end(
-        self, trainer: lightning.Trainer, module: lightning.LightningModule
-    ) -> None:
-        epoch = trainer.current_epoch
-        if not trainer.is_global_zero or (epoch + 1) % self.every:
-            return
-        sample = self.dataset[0]
-        if sample is None:  # it could not be read, and is written down
-            return
-        candidates, model = module.test_candidates, module.model
-        model.eval()
-        with torch.no_grad():
-            images = (sample[kind][None].to(module.device) for kind in ("ground", "aerial"))
-            scores = model(*images, candidates)
-        model.train()
-        figure = draw_estimate(
-            denormalise(sample["aerial"]),
-            heat_map(candidates.scatter_to_grid(scores))[0].cpu().numpy(),
-            self.grid,
-            candidates.poses[int(scores.argmax())],
-            module.frustum,
-            truth=sample["pose"].numpy(),
-            title=f"epoch {epoch}",
-        )
-        self.folder.mkdir(exist_ok=True)
-        save_figure(figure, self.folder / f"epoch_{epoch:04d}.png")
-        trainer.logger.experiment.add_figure("heat_map", figure, trainer.global_step)

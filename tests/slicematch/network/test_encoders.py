@@ -6,9 +6,9 @@ import sys
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from slicematch.errors import ConfigError, WeightsError
-from slicematch.network.encoders import Encoder
+from slicematch.network.encoders import Encoder, encoder_normalisation
 from slicematch.network.slicematch import SliceMatch
 
 import timm  # isort: skip  after the model's modules
@@ -52,11 +52,66 @@ def test_any_stride_of_the_encoder(stride):
         ({"name": "hf-hub:someone/something"}, "'hf-hub:someone/something' is no timm model"),
         ({"name": "resnet10t", "stride": 6}, "no stage of stride 6; it has 2, 4, 8, 16, 32"),
         ({"name": "test_vit", "image_size": (20, 20)}, "20x20 pixels"),
+        ({"name": "maxvit_tiny_rw_224", "image_size": (16, 16)}, "16x16 pixels"),
+        ({"name": "hrnet_w18_small", "image_size": (20, 20)}, "try sides that are multiples of 32"),
     ],
 )
 def test_encoders_that_cannot_be(settings, said):
     with pytest.raises(ConfigError, match=said):
         Encoder(**{"image_size": (64, 64), "weights": "none", **settings})
+
+
+@pytest.mark.parametrize(
+    ("name", "smallest_batch"),
+    [("vgg16", 1), ("vgg16_bn", 2), ("resnet50", 2), ("densenet121", 2), ("test_vit", 1)],
+)
+def test_images_of_one_cell(name, smallest_batch):
+    encoder = Encoder(name, (16, 16), stride=16, weights="none")
+    assert encoder.feature_size == (1, 1)
+    assert encoder.smallest_batch == smallest_batch
+    with torch.no_grad():
+        assert encoder.eval()(torch.zeros(1, 3, 16, 16)).shape[2:] == (1, 1)
+        assert encoder.train()(torch.zeros(smallest_batch, 3, 16, 16)).shape[2:] == (1, 1)
+    if smallest_batch > 1:
+        with pytest.raises(ValueError, match="more than 1 value per channel"):
+            encoder(torch.zeros(1, 3, 16, 16))
+
+
+@pytest.mark.parametrize(
+    ("name", "mean"),
+    [
+        ("vgg16", (0.485, 0.456, 0.406)),
+        ("resnet50.tv_in1k", (0.485, 0.456, 0.406)),
+        ("tf_efficientnet_lite0", (0.5, 0.5, 0.5)),
+        ("vit_base_patch16_clip_224", (0.48145466, 0.4578275, 0.40821073)),
+    ],
+)
+def test_each_encoder_has_its_own_mean(name, mean):
+    assert encoder_normalisation(name)[0] == mean
+    known = timm.data.resolve_data_config(timm.get_pretrained_cfg(name).to_dict())
+    assert encoder_normalisation(name) == (known["mean"], known["std"])
+
+
+def test_random_weights_come_from_nowhere():
+    assert Encoder("test_resnet", (32, 32), weights="none").weights_source is None
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("test_resnet", "test_resnet.r160_in1k"),
+        ("resnet50", "resnet50.a1_in1k"),
+        ("resnet50.tv_in1k", "resnet50.tv_in1k"),
+    ],
+)
+def test_pretrained_weights_are_named_with_their_tag(monkeypatch, tmp_path, name, source):
+    """A cached file stands in for the model hub's."""
+    file = tmp_path / "model.safetensors"
+    save_file(timm.create_model(name).state_dict(), file)
+    monkeypatch.setattr(
+        "timm.models._builder.load_state_dict_from_hf", lambda *_, **__: load_file(file)
+    )
+    assert Encoder(name, (32, 32)).weights_source == source
 
 
 @pytest.mark.parametrize("suffix", [".safetensors", ".pth"])
@@ -120,7 +175,7 @@ def test_without_a_model_hub_it_says_what_to_do(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", code], env=offline, capture_output=True, text=True, check=True
     )
-    assert "cannot be had from the model hub" in done.stdout
+    assert "are not available from the model hub" in done.stdout
     assert "'none'" in done.stdout
     assert len(done.stdout.splitlines()) == 1
 

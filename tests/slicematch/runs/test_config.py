@@ -87,6 +87,9 @@ def test_yaml_there_and_back(tmp_path):
             "setting 'split_dir' is unknown; it must be one of .*, labels",
         ),
         ({"cities": ["Gotham"]}, "Gotham"),
+        ({"image_mean": [0.5]}, "image_mean is .0.5.; it must be a list of 3 finite numbers"),
+        ({"image_std": [0.5, 0, 0.5]}, "image_std is .*; it must be three numbers greater than 0"),
+        ({"tile_side_m": 0}, "tile_side_m is 0.0; it must be greater than 0"),
         ({"precision": "8"}, "precision is '8'; it must be one of 32-true"),
     ],
 )

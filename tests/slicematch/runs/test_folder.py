@@ -4,10 +4,12 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from hashlib import sha256
 
 import pytest
 import torch
 from click.testing import CliRunner
+from safetensors.torch import save_file
 from slicematch.data.errors import DatasetError
 from slicematch.devices import choose_device
 from slicematch.errors import ConfigError, RunError
@@ -18,6 +20,8 @@ from slicematch.runs.folder import RunFolder, plan_run
 from slicematch.training.train import train
 
 from slicemask.cli.main import main
+
+import timm  # isort: skip  after the model's modules
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -71,7 +75,14 @@ def weights(run, which="last"):
 def test_a_run_leaves_what_its_folder_promises(config, tmp_path, cache):
     config = replace(config, heat_map_every=2)
     run = train(config, tmp_path / "run", cache=cache, progress=False)
-    assert RunFolder(run).load_config() == replace(config, hfov_deg=360.0)
+    # What only the encoder and the data say is filled in.
+    assert RunFolder(run).load_config() == replace(
+        config,
+        hfov_deg=360.0,
+        image_mean=(0.5, 0.5, 0.5),  # timm's for this encoder
+        image_std=(0.5, 0.5, 0.5),
+        tile_side_m=640 * 0.111262,
+    )
     lines = metrics(run)
     assert [line["epoch"] for line in lines] == [0, 1, 2, 3]
     assert [line["step"] for line in lines] == [3, 6, 9, 12]
@@ -82,8 +93,8 @@ def test_a_run_leaves_what_its_folder_promises(config, tmp_path, cache):
     checkpoint = torch.load(run / "checkpoints" / "best.ckpt", weights_only=True)
     assert checkpoint["epoch"] == best
     assert sorted(path.name for path in (run / "heat_maps").iterdir()) == [
-        "epoch_0001.png",
-        "epoch_0003.png",
+        "epoch_0002.png",
+        "epoch_0004.png",
     ]
     assert list((run / "tensorboard").glob("events.out.tfevents.*"))
 
@@ -157,7 +168,7 @@ def test_a_killed_run_resumes_with_the_same_losses(
     whole = train(config, tmp_path / "whole", cache=cache, progress=False)
 
     # The kill comes in the middle of an epoch.
-    from slicematch.training.train import TrainingModule
+    from slicematch.training.module import TrainingModule
 
     step = TrainingModule.training_step
 
@@ -209,7 +220,7 @@ def test_a_run_that_diverges_stops_and_keeps_the_epochs_before(
     assert not (tmp_path / "a" / "calibration.json").exists()
 
     # In the second epoch, the first one's checkpoints stay.
-    from slicematch.training.train import TrainingModule
+    from slicematch.training.module import TrainingModule
 
     step = TrainingModule.training_step
 
@@ -355,6 +366,66 @@ def test_settings_asked_for_go_before_the_file_and_the_run(tmp_path):
     with pytest.raises(ConfigError, match="setting 'data' is missing"):
         plan_run({"slices": 2}, tmp_path / "my.yaml", run)
     assert str(plan_run({"data": "kitti", "root": "b"})[1]) == os.path.join("runs", "kitti")
+
+
+def test_a_run_goes_on_with_the_mean_it_began_with(config, tmp_path, cache):
+    """Runs of before hold none, and took ImageNet's."""
+    config = replace(config, epochs=1)
+    own = replace(config, image_mean=(0.1, 0.2, 0.3), image_std=(0.4, 0.5, 0.6))
+    imagenet = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+    for name, settings, expected in (
+        ("own", own, ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6))),
+        ("old", replace(config, image_mean=imagenet[0], image_std=imagenet[1]), imagenet),
+    ):
+        run = train(settings, tmp_path / name, cache=cache, progress=False)
+        file = run / "config.yaml"
+        kept = file.read_text().splitlines(keepends=True)
+        if name == "old":
+            new = "image_mean", "image_std", "weights_source", "tile_side_m"
+            kept = [line for line in kept if not line.startswith(new)]
+            file.write_text("".join(kept))
+            assert RunFolder(run).load_config().image_mean is None
+        more = replace(config, epochs=2)
+        train(more, run, resume=True, cache=cache, progress=False)
+        after = RunFolder(run).load_config()
+        assert after.normalisation() == (after.image_mean, after.image_std) == expected
+        assert after.tile_side_m == pytest.approx(640 * 0.111262)
+    other = replace(own, image_mean=(0.5, 0.5, 0.5), epochs=3)
+    with pytest.raises(RunError, match=r"was trained with image_mean \(0.1, 0.2, 0.3\)"):
+        train(other, tmp_path / "own", resume=True, cache=cache, progress=False)
+
+
+def test_a_run_keeps_where_its_weights_come_from(config, tmp_path, cache, caplog):
+    file = tmp_path / "mine.safetensors"
+    save_file(timm.create_model("test_convnext").state_dict(), file)
+    caplog.set_level("INFO", "slicematch.training")
+    config = replace(config, weights=str(file), epochs=1)
+    run = train(config, tmp_path / "run", cache=cache, progress=False)
+    source = f"mine.safetensors (sha256 {sha256(file.read_bytes()).hexdigest()[:12]})"
+    assert RunFolder(run).load_config().weights_source == source
+    said = [record.getMessage() for record in caplog.records if "weights" in record.getMessage()]
+    assert said == [f"the encoders start from the weights {source}"]
+    file.unlink()  # a resumed run does not ask for them
+    train(replace(config, epochs=2), run, resume=True, cache=cache, progress=False)
+    assert RunFolder(run).load_config().weights_source == source
+
+
+@pytest.mark.parametrize(("batch_size", "left"), [(1, 1), (5, 1), (7, None), (2, None)])
+def test_images_of_one_cell_train_in_batches_that_their_normalisation_takes(
+    config, tmp_path, cache, batch_size, left
+):
+    """Of 6 samples to train with, a batch of 5 leaves one."""
+    config = replace(
+        config, encoder="test_resnet", ground_size=(16, 64), aerial_size=16, epochs=1,
+        batch_size=batch_size,
+    )  # fmt: skip
+    if left is None:
+        run = train(config, tmp_path / "run", cache=cache, progress=False)
+        assert Localizer.load(run, cache=cache).model.cells == 1
+        return
+    with pytest.raises(ConfigError, match=f"of 6 samples a batch of {left} is left"):
+        train(config, tmp_path / "run", cache=cache, progress=False)
+    assert not (tmp_path / "run").exists()
 
 
 def test_resuming_with_other_settings_is_refused(finished, cache):
