@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask.images import read_aerial, resize
+from slicematch.data.elevations import crop_elevations
 from slicematch.data.errors import DatasetError
 from slicematch.data.panoramas import read_panorama, turn_panorama
 from slicematch.data.source import DataConfig, Part, Source
@@ -56,6 +57,7 @@ class VigorConfig(DataConfig):
     projection = "equirectangular"
     hfov_deg = 360.0
     ground_aspect = 2.0
+    camera_height_m = 2.5
     prior_centre_deg = 0.0
     train_grid = "7x7x16"
     test_grid = "21x21x64"
@@ -205,7 +207,10 @@ class VigorSource(Source):
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
         turn_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
-        ground = turn_panorama(panorama.image, turn_deg, self.config.ground_size)
+        cropped = crop_elevations(
+            panorama.image, self.config.elevations, self.config.projection, self.hfov_deg
+        )
+        ground = turn_panorama(cropped, turn_deg, self.config.ground_size)
         return ground, resize(aerial, (self.config.aerial_size, self.config.aerial_size))
 
     def _heading_deg(self, index: int, random: np.random.Generator) -> float:

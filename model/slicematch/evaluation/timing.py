@@ -17,6 +17,7 @@ from slicemask.geometry.frustum import Projection
 from slicematch.devices import choose_device, precision_note
 from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer, load_candidates
+from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
 from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint
@@ -156,6 +157,7 @@ def time_settings(
     grid: str = "21x21x64",
     hfov_deg: float = 360.0,
     projection: Projection = "equirectangular",
+    bands: tuple[float, ...] = (),
     encoder: str = "vgg16",
     weights: str | Path = "none",
     stride: int = 16,
@@ -173,7 +175,7 @@ def time_settings(
 
     Parameters
     ----------
-    grid, hfov_deg, projection, slices
+    grid, hfov_deg, projection, bands, slices
         The candidates: see `slicemask.PoseGrid.parse` and `slicemask.Frustum`.
     encoder : str
         timm backbone of both images.
@@ -213,12 +215,27 @@ def time_settings(
             f"image sizes are {ground_size} and {aerial_size} pixels; they must be at least 1"
         )
     chosen = choose_device(device)
-    frustum, poses = Frustum(hfov_deg, slices, projection), PoseGrid.parse(grid)
-    model = SliceMatch(encoder, weights, ground_size, aerial_size, stride, slices)
+    frustum, poses = Frustum(hfov_deg, slices, projection, bands), PoseGrid.parse(grid)
+    model = SliceMatch(
+        encoder, weights, ground_size, aerial_size, stride, slices, bands=_some_bands(frustum)
+    )
     model.for_inference(chosen, precision)
     bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path
     candidates, _ = load_candidates(bank, frustum, model.cells)
     return time_stages(model, candidates, chosen, ground_size, aerial_size, batch_size, runs)
+
+
+def _some_bands(frustum: Frustum) -> RangeBands | None:
+    """Bands of a network for a frustum's; which rows they look at changes no time."""
+    if not frustum.bands:
+        return None
+    ranges_m = tuple(70.0 * share for share in frustum.bands)
+    return RangeBands(
+        ranges_m=ranges_m,
+        camera_height_m=2.5,
+        elevations_deg=(-45.0, 45.0),
+        projection=frustum.projection,
+    )
 
 
 def time_stages(

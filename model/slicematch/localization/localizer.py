@@ -11,6 +11,7 @@ from PIL import Image
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
 from slicemask.images import Picture, check_aspect, name_of, read_aerial, read_image, resize
+from slicematch.data.elevations import crop_elevations
 from slicematch.data.images import normalise
 from slicematch.data.panoramas import read_panorama, turn_panorama
 from slicematch.devices import choose_device
@@ -379,6 +380,9 @@ class Localizer:
 
     def _ground(self, ground: Picture) -> torch.Tensor:
         image, size = self.read_ground(ground), cast(tuple[int, int], self.config.ground_size)
+        image = crop_elevations(
+            image, self.config.elevations, self.frustum.projection, self.frustum.hfov_deg
+        )
         if self.frustum.projection == "equirectangular":
             image = turn_panorama(image, 0.0, size)
         else:
