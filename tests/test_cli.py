@@ -151,7 +151,7 @@ def test_verify_finds_a_wrong_mask_in_a_sealed_bank(run, bank, where):
         else:
             values[values < 1] *= 0.999999
         file[where][:] = values
-    write_seal(bank)
+    write_seal(bank, 1)
     result = run("verify", bank, "--all")
     assert result.exit_code == 1
     assert "are wrong, first slice" in result.output

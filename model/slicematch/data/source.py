@@ -11,14 +11,10 @@ from PIL import Image
 
 from slicemask.geometry.frustum import Projection
 from slicematch.data.errors import DatasetError
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 
 Part = Literal["train", "validation", "test"]
 Split = Literal["same-area", "cross-area"]
-Triple = tuple[float, float, float]
-
-# Of ImageNet's images, red, green and blue in [0, 1]: what most backbones were trained with.
-IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
-IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True, kw_only=True)

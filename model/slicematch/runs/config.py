@@ -10,8 +10,9 @@ from slicemask import Frustum, PoseGrid
 from slicemask.files import write_text
 from slicemask.geometry.frustum import Projection
 from slicematch.data import DATA_SETS, config_class
-from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, DataConfig, Split, Triple
+from slicematch.data.source import DataConfig, Split
 from slicematch.errors import ConfigError
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.precision import Precision
 from slicematch.runs.settings import convert, read_settings
 
