@@ -5,20 +5,33 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help bank demo test lint bench clean
+.PHONY: help bank demo quick core lowest test lint bench constraints clean
+
+# What needs neither torch nor trimesh; the rest of the tests needs the extras.
+CORE_TESTS := tests/geometry tests/bank $(wildcard tests/test_*.py)
+QUICK_TESTS := tests/geometry tests/bank $(filter-out tests/test_wheel.py tests/test_readme.py \
+	tests/test_plot.py,$(wildcard tests/test_*.py))
 
 help:
 	@echo "make bank    build the default bank into masks_cache/ and draw it"
 	@echo "make demo    generate two cities, train on one, find cameras in the other, draw it"
+	@echo "make quick   run the fast tests of geometry, banks and the command (under a minute)"
+	@echo "make core    run all tests that need no torch"
 	@echo "make test    run all tests"
+	@echo "make lowest  run tests with the lowest versions that pyproject.toml allows (needs uv)"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   print the benchmark tables"
+	@echo "make constraints   write constraints.txt with the newest versions (CONTRIBUTING.md)"
 	@echo "make clean   remove the environment and the tools' caches; banks, data and runs stay"
 
 $(VENV)/.core: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "slicemask needs Python 3.11 or newer; name one with make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) -e .
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.core
+	$(PIP) -e '.[test]'
 	@touch $@
 
 # torch is asked for by its exact version alone, so that the pinned build is the one taken.
@@ -38,6 +51,18 @@ demo: $(VENV)/.full
 	$(BIN)/slicemask evaluate runs/demo --grid 21x21x64 --checkpoint last --limit 100 --out runs/demo/unseen --overwrite
 	@echo "pictures: runs/demo/unseen/best.png, median.png, worst.png, errors.png"
 
+quick: $(VENV)/.test
+	$(BIN)/python -m pytest -n auto -m "not slow" $(QUICK_TESTS)
+
+core: $(VENV)/.test
+	$(BIN)/python -m pytest -n auto $(CORE_TESTS)
+
+# In an environment of its own; what only these packages need comes in the newest versions.
+lowest:
+	uv venv --quiet --python $(PYTHON) build/lowest
+	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,synth,test]'
+	build/lowest/bin/python -m pytest -n auto -m "not slow"
+
 test: $(VENV)/.full
 	$(BIN)/python -m pytest -n auto
 
@@ -48,6 +73,15 @@ lint: $(VENV)/.full
 
 bench: $(VENV)/.full
 	$(BIN)/python -m benchmarks
+
+# What only builds of torch with CUDA need is left out: other builds do without.
+constraints:
+	$(PYTHON) -m venv --clear build/newest
+	build/newest/bin/python -m pip install --quiet -e '.[model,synth,test,lint,bench]'
+	build/newest/bin/python -m pip freeze --exclude-editable > build/newest.txt
+	(head -n 1 constraints.txt && sed 's/+[a-z0-9.]*$$//' build/newest.txt \
+		| grep -v -e '^nvidia' -e '^cuda') > build/constraints.txt
+	mv build/constraints.txt constraints.txt
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache

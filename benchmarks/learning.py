@@ -121,7 +121,7 @@ def _figures(run: Path) -> dict:
             "probability_median_beyond_8m":
                 np.median(probability[~close]) if not close.all() else None,
         },
-        "floor": result["floor"],
+        "oracle": result["oracle"],
         "centre": {"place_mean_m": np.mean(centre), "place_median_m": np.median(centre)},
         "samples": len(samples),
         "training": json.loads((run / "cost.json").read_text()),
@@ -160,7 +160,7 @@ def _table(found: dict[str, dict]) -> Table:
         row = next(iter(found.values()))
         for name, part, heading in (
             ("guessing the centre", row["centre"], ("90", "90")),
-            ("floor of the grid", row["floor"], None),
+            ("oracle among the candidates", row["oracle"], None),
         ):
             heading = heading or [f"{part[f'heading_{k}_deg']:.2f}" for k in ("mean", "median")]
             places = (f"{part[f'place_{k}_m']:.2f}" for k in ("mean", "median"))

@@ -12,9 +12,12 @@ import time
 
 import click
 import torch
-from slicematch.localization.refinement import Domain, Similarity, find_modes, refine_modes
+from slicematch.localization.modes import find_modes
+from slicematch.localization.refinement import refine_modes
 from slicematch.network.aggregation import unit
+from slicematch.priors import PosePrior
 from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.off_grid import PairScorer
 from slicematch.scoring.scores import score_candidates
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
@@ -37,7 +40,7 @@ def main(runs: int) -> None:
     ground = unit(torch.randn(1, FRUSTUM.slices, CHANNELS, generator=generator))
     features = torch.randn(1, CHANNELS, CELLS, CELLS, generator=generator).relu()
     attention = torch.rand(1, FRUSTUM.slices, CELLS, CELLS, generator=generator)
-    similarity = Similarity(ground[0], features[0], attention[0], FRUSTUM)
+    scorer = PairScorer(ground[0], features[0], attention[0], FRUSTUM)
     seconds: dict[str, list[float]] = {"grid": [], "fine": [], "continuous": []}
     for _ in range(runs + 1):  # the first one is not counted
         start = time.process_time()
@@ -48,7 +51,7 @@ def main(runs: int) -> None:
         for how in ("fine", "continuous"):
             start = time.process_time()
             modes, _ = find_modes(grid, GRID)
-            refine_modes(similarity, modes, GRID, Domain(), how, TILE_METRES)
+            refine_modes(scorer, modes, GRID, PosePrior(), how, TILE_METRES)
             seconds[how].append(time.process_time() - start)
     medians = {name: statistics.median(taken[1:]) for name, taken in seconds.items()}
     print(f"{GRID} poses scored, VGG16's shapes: {medians['grid']:.2f} s")

@@ -11,18 +11,23 @@ is 1, on a tile of random features that change from cell to cell. Everything els
 """
 
 import tempfile
+from collections.abc import Callable
 
 import click
 import numpy as np
 import torch
 from slicematch.evaluation.metrics import PoseErrors, pose_errors
-from slicematch.localization.refinement import Domain, Refine, Similarity, find_modes, refine_modes
+from slicematch.localization.modes import find_modes
+from slicematch.localization.refinement import Refine, refine_modes
 from slicematch.network.aggregation import aerial_descriptors
+from slicematch.priors import PosePrior
 from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.off_grid import PairScorer
 from slicematch.scoring.scores import score_candidates
 from torch.nn import functional as F  # noqa: N812
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank, slice_masks
+from slicemask.cli.output import progress_bar
 
 CELLS, CHANNELS = 32, 16
 # What an answer is to be within, metres and degrees.
@@ -37,6 +42,7 @@ def measure(
     smooth: int = 1,
     tile_metres: float = 72.5,
     seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, PoseErrors]:
     """Errors of the answers for random true poses, by the way they are refined.
 
@@ -56,6 +62,8 @@ def measure(
         Side of the tile.
     seed : int
         Of poses and features.
+    progress : callable, optional
+        Called with (poses done, poses in all).
     """
     grid, frustum = grid or PoseGrid(21, 21, 64), frustum or Frustum()
     with tempfile.TemporaryDirectory() as folder:
@@ -67,7 +75,7 @@ def measure(
     truths = rng.uniform((u0, v0, 0.0), (u1, v1, 360.0 if grid.headings > 1 else 0.0), (count, 3))
     answers: dict[str, list[np.ndarray]] = {how: [] for how in refine}
     attention = torch.ones(1, frustum.slices, CELLS, CELLS)
-    for truth in truths:
+    for done, truth in enumerate(truths, start=1):
         side = -(-CELLS // smooth) + 2
         noise = torch.randn(1, CHANNELS, side, side, generator=generator)
         features = F.interpolate(noise, scale_factor=smooth, mode="bicubic")
@@ -76,13 +84,15 @@ def measure(
         ground = aerial_descriptors(features, attention, masks[None])[:, 0]
         scores = score_candidates(ground, features, attention, candidates)
         modes, _ = find_modes(candidates.scatter_to_grid(scores)[0].numpy(), grid)
-        similarity = Similarity(ground[0], features[0], attention[0], frustum)
+        scorer = PairScorer(ground[0], features[0], attention[0], frustum)
         for how, found in answers.items():
             poses = modes
             if how != "none":
-                domain = Domain(grid.extent)
-                poses, _ = refine_modes(similarity, modes, grid, domain, how, tile_metres)
+                prior = PosePrior(grid.extent)
+                poses, _ = refine_modes(scorer, modes, grid, prior, how, tile_metres)
             found.append(poses[0])
+        if progress is not None:
+            progress(done, count)
     return {how: pose_errors(found, truths, tile_metres) for how, found in answers.items()}
 
 
@@ -98,7 +108,8 @@ def share_near(errors: PoseErrors) -> float:
 @click.option("--seed", default=0, show_default=True, help="Of poses and features.")
 def main(count: int, grid: str, smooth: int, seed: int) -> None:
     """Print how near unrefined and refined answers come to true poses that the scores peak at."""
-    measured = measure(count, PoseGrid.parse(grid), smooth=smooth, seed=seed)
+    with progress_bar("refining", "poses") as progress:
+        measured = measure(count, PoseGrid.parse(grid), smooth=smooth, seed=seed, progress=progress)
     print(f"{count:,} poses on a 72.5 m tile, from {grid}, features over {smooth} cells")
     print("            place m: median    99 %  heading deg: median    99 %  within 5 cm, 0.2 deg")
     for how, errors in measured.items():

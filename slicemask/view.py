@@ -50,7 +50,7 @@ def view_at(pose: tuple[float, float, float], frustum: Frustum, cells: int) -> V
     Raises
     ------
     PoseError, SpecError
-        If the pose or the cells cannot be.
+        If the pose or the cells are invalid.
     """
     checked = check_poses([pose])
     u, v, heading_deg = checked[0]

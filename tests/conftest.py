@@ -26,14 +26,14 @@ def plain_masks():
 def compute_plain_masks(poses, frustum, cells):
     """Masks of poses, float64 [K, N, L, L], by a Python loop over poses, slices and cells.
 
-    ``poses`` [K, 3] are u, v, heading_deg in the aerial frame; ``frustum`` has hfov_deg, slices
-    and projection.
+    ``poses`` [K, 3] are u, v, heading_deg in the aerial frame; ``frustum`` has hfov_deg, slices,
+    projection and bands. With bands the masks are [K, N, B, L, L].
     """
     boxes = [
         [box(j / cells, i / cells, (j + 1) / cells, (i + 1) / cells) for j in range(cells)]
         for i in range(cells)
     ]
-    masks = np.zeros((len(poses), frustum.slices, cells, cells))
+    masks = np.zeros((len(poses), frustum.slices, len(frustum.bands) + 1, cells, cells))
     for k, (u, v, heading_deg) in enumerate(np.asarray(poses, dtype=float)):
         edges = [heading_deg + offset for offset in _edge_offsets(frustum)]
         for n in range(frustum.slices):
@@ -41,9 +41,29 @@ def compute_plain_masks(poses, frustum, cells):
             for i in range(cells):
                 for j in range(cells):
                     cell = boxes[i][j]
-                    shared = sum(triangle.intersection(cell).area for triangle in triangles)
-                    masks[k, n, i, j] = shared / cell.area
-    return masks
+                    parts = [triangle.intersection(cell) for triangle in triangles]
+                    # What is nearer than each range, and at last everything.
+                    nearer = [
+                        sum(part.intersection(_nearer(u, v, heading_deg, range_, frustum)).area
+                            for part in parts)
+                        for range_ in frustum.bands
+                    ]  # fmt: skip
+                    nearer.append(sum(part.area for part in parts))
+                    masks[k, n, :, i, j] = np.diff(nearer, prepend=0.0) / cell.area
+    return masks if frustum.bands else masks[:, :, 0]
+
+
+def _nearer(u, v, heading_deg, range_, frustum):
+    """All that is nearer to the camera than a range: a disc of 65,536 corners, or a half-plane."""
+    if frustum.projection == "equirectangular":
+        angles = np.arange(1 << 16) * (2 * math.pi / (1 << 16))
+        return Polygon(np.stack([u + range_ * np.cos(angles), v + range_ * np.sin(angles)], axis=1))
+    heading = math.radians(heading_deg)
+    along, across = (math.sin(heading), -math.cos(heading)), (math.cos(heading), math.sin(heading))
+    corners = [(-8.0, -8.0), (-8.0, 8.0), (range_, 8.0), (range_, -8.0)]
+    return Polygon(
+        [(u + d * along[0] + s * across[0], v + d * along[1] + s * across[1]) for d, s in corners]
+    )
 
 
 def _edge_offsets(frustum):

@@ -51,7 +51,7 @@ def test_build_says_what_it_built_and_then_that_it_is_there(run, bank):
     assert bank.exists()
     again = run(*SMALL)
     assert again.exit_code == 0
-    assert "is there already and matches" in again.output
+    assert "already exists and matches" in again.output
     stamp = bank.stat().st_mtime_ns
     forced = run(*SMALL, "--force")
     assert "built in" in forced.output
@@ -151,7 +151,7 @@ def test_verify_finds_a_wrong_mask_in_a_sealed_bank(run, bank, where):
         else:
             values[values < 1] *= 0.999999
         file[where][:] = values
-    write_seal(bank)
+    write_seal(bank, 1)
     result = run("verify", bank, "--all")
     assert result.exit_code == 1
     assert "are wrong, first slice" in result.output
@@ -272,3 +272,27 @@ def test_the_installed_command_prints_no_bar_into_a_pipe(tmp_path):
     )  # fmt: skip
     assert found.stderr == ""
     assert found.stdout.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--hfov", "6.2832"], "as if it were in radians; in degrees that is 360"),
+        (["--hfov", "1.4224"], "as if it were in radians; in degrees that is 81.5"),
+        (["--hfov", "81.5"], "a camera's have equal widths: --projection pinhole"),
+        (["--hfov", "63.4"], "a camera's have equal widths: --projection pinhole"),
+        ([], None),
+        (["--hfov", "90"], None),
+        (["--hfov", "360"], None),
+        (["--hfov", "5"], None),
+        (["--hfov", "81.5", "--projection", "pinhole"], None),
+        (["--hfov", "81.5", "--projection", "equirectangular"], None),
+    ],
+)
+@pytest.mark.parametrize(
+    "command", [["build", "--grid", "1x1x1", "--cells", "4"], ["visualize", "--at", "0.5,0.5,0"]]
+)
+def test_fields_of_view_that_are_almost_surely_slips(run, caplog, command, options, said):
+    result = run(*command, "--slices", "2", *options)
+    assert result.exit_code == 0
+    assert [said in record.getMessage() for record in caplog.records] == [True] * bool(said)

@@ -42,7 +42,9 @@ def test_the_help_shows_the_defaults_of_the_settings():
         if option is None or field.default in (MISSING, None):
             continue
         shown = option.help.rsplit("[default: ", 1)[1].rstrip("]")
-        if isinstance(field.default, bool):
+        if field.default == ():
+            assert shown == "none"
+        elif isinstance(field.default, bool):
             assert shown == {True: "yes", False: "no"}[field.default]
         else:
             assert type(field.default)(shown) == field.default

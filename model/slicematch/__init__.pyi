@@ -1,6 +1,7 @@
 from .evaluation.evaluate import evaluate as evaluate
-from .localization.localizer import Estimate as Estimate
+from .localization.estimate import Estimate as Estimate
 from .localization.localizer import Localizer as Localizer
+from .localization.predict import predict as predict
 from .network.slicematch import SliceMatch as SliceMatch
 from .runs.config import TrainConfig as TrainConfig
 from .scoring.candidates import Candidates as Candidates

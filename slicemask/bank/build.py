@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -24,10 +25,10 @@ from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.write import BankWriter
 from slicemask.errors import BankError, BankExistsError
 from slicemask.geometry.distinct import (
-    Images,
-    Loose,
-    distinct_loose,
+    SectorOrbit,
+    UnanchoredSlices,
     distinct_slices,
+    distinct_unanchored,
 )
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, engine_fractions
@@ -244,15 +245,17 @@ def _build(
     locked: bool,
 ) -> int:
     """Build the bank and return its number of rows."""
-    total, slices = len(spec.poses), spec.frustum.slices
+    total, masks = len(spec.poses), math.prod(spec.frustum.mask_axes)
     pool = ThreadPoolExecutor(jobs)
     with BankWriter(path, spec, pool, locked) as writer, contextlib.ExitStack() as after:
         # After an error, work that no thread has started is dropped.
         after.callback(pool.shutdown, cancel_futures=True)
         # The engine is imported while the first slices are found; an error would recur with them.
-        pool.submit(engine_fractions, spec.engine)
-        index = after.enter_context(_empty_index((total, slices), path.parent, limits))
-        compute = functools.partial(mask_rows, cells=spec.cells, engine=spec.engine)
+        pool.submit(engine_fractions, spec.engine, spec.frustum)
+        index = after.enter_context(_empty_index((total, masks), path.parent, limits))
+        compute = functools.partial(
+            mask_rows, frustum=spec.frustum, cells=spec.cells, engine=spec.engine
+        )
         pieces = _pieces(source, spec, index, limits)
         if progress:
             progress(0, total)
@@ -263,7 +266,7 @@ def _build(
                 writer.add_rows(rows.counts, rows.indices, rows.data)
             if progress:
                 progress(round(fraction_done * total), total)
-        writer.finish(index, source.pieces())
+        writer.finish(index.reshape(total, *spec.frustum.mask_axes), source.pieces())
     return writer.rows
 
 
@@ -292,41 +295,42 @@ def _empty_index(
 
 def _pieces(
     source: PoseSource, spec: BankSpec, index: NDArray[np.int32], limits: MemoryLimits
-) -> Iterator[tuple[float, Images]]:
+) -> Iterator[tuple[float, SectorOrbit]]:
     """Distinct slices whose masks are the bank's rows, in order and in pieces; fills the index.
 
-    With each piece comes the fraction of the work that is done after it, in [0, 1].
+    The index is [K, N * B]. With each piece comes the fraction of the work that is done after it,
+    in [0, 1].
     """
-    slices = spec.frustum.slices
+    masks = index.shape[1]
     most = min(limits.batch_slices, max(1, limits.batch_values // spec.cells**2))
     rows, found, done = 0, 0, 0.0
-    unanchored: list[Loose] = []
+    unanchored: list[UnanchoredSlices] = []
     unanchored_at: list[NDArray[np.int64]] = []
-    for batch in source.batches(max(1, most // slices)):
+    for batch in source.batches(max(1, most // masks)):
         distinct = distinct_slices(batch.u, batch.v, batch.place, batch.heading_deg, spec.frustum)
-        number = distinct.slice_of
+        number = distinct.mask_of
         anchored = number >= 0
         # An unanchored slice is -1 minus its number among all batches' until its row is known.
         placed = np.where(anchored, rows + number, number - found)
         index[batch.pose] = placed
-        if len(distinct.loose.shape):
+        if not anchored.all():
             pose, n = np.nonzero(~anchored)
-            unanchored_at.append(batch.pose[pose] * slices + n)
-            unanchored.append(distinct.loose)
-            found += len(distinct.loose.shape)
-        wedges = distinct.wedges
-        rows += len(wedges.sector)
-        for piece in split_by_size(wedges, spec.cells):
-            done += np.count_nonzero(anchored) * len(piece.sector) / len(wedges.sector) / index.size
+            unanchored_at.append(batch.pose[pose] * masks + n)
+            unanchored.append(distinct.unanchored)
+            found += len(distinct.unanchored.shape)
+        orbit = distinct.anchored
+        rows += orbit.rows
+        for piece in split_by_size(orbit, spec.cells):
+            done += np.count_nonzero(anchored) * len(piece.sector) / len(orbit.sector) / index.size
             yield done, piece
     if unanchored:
-        images, row = distinct_loose(Loose.joined(unanchored))
+        orbit, row = distinct_unanchored(UnanchoredSlices.joined(unanchored))
         flat = index.reshape(-1)
         at = np.concatenate(unanchored_at)
         flat[at] = rows + row[-1 - flat[at]]
         rest = 1.0 - done
-        for piece in split_by_size(images, spec.cells):
-            done += rest * len(piece.sector) / len(images.sector)
+        for piece in split_by_size(orbit, spec.cells):
+            done += rest * len(piece.sector) / len(orbit.sector)
             yield done, piece
 
 

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slicemask.bank.seal import VERSION, check_seal
+from slicemask.bank.seal import VERSIONS, check_seal
 from slicemask.bank.spec import BankSpec, PoseDigest
 from slicemask.bank.write import FORMAT
 from slicemask.errors import BankError, BankFormatError, PoseError
@@ -93,7 +93,10 @@ class Bank:
 
     @cached_property
     def index(self) -> NDArray[Any]:
-        """Row of the distinct masks for each pose and slice, int32 [K, N]. Read once and kept."""
+        """Row of the distinct masks for each pose and slice, int32 [K, N]. Read once and kept.
+
+        With bands it is [K, N, B].
+        """
         index = self._read("index")
         self._check_index(index)
         return index
@@ -114,7 +117,8 @@ class Bank:
     def masks(self, pose: int | ArrayLike) -> NDArray[np.float32]:
         """Masks of one pose, float32 [N, L, L], or of several, [..., N, L, L].
 
-        Reads only the parts of the file that hold these poses' rows.
+        With bands they are [..., N, B, L, L]. Reads only the parts of the file that hold these
+        poses' rows.
 
         Parameters
         ----------
@@ -141,14 +145,18 @@ class Bank:
         for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > _NEAR_ROWS) + 1):
             if len(run):
                 self._fill(dense[run[0] : run[-1] + 1], rows[run])
-        return dense[place.ravel()].reshape(*asked.shape, self.spec.frustum.slices, cells, cells)
+        axes = self.spec.frustum.mask_axes
+        return dense[place.ravel()].reshape(*asked.shape, *axes, cells, cells)
 
     def _rows_of(self, poses: NDArray[np.integer[Any]]) -> NDArray[Any]:
-        """Rows of poses' slices, [k, N]; for a few poses only their part of the index is read."""
+        """Rows of poses' masks, [k, N] or [k, N, B].
+
+        For a few poses only their part of the index is read.
+        """
         if "index" in self.__dict__ or len(poses) > _FEW_POSES:
             return np.asarray(self.index[poses])
         rows = [self._read("index", slice(int(k), int(k) + 1)) for k in poses]
-        index = np.concatenate([np.empty((0, self.spec.frustum.slices), np.int32), *rows])
+        index = np.concatenate([np.empty((0, *self.spec.frustum.mask_axes), np.int32), *rows])
         self._check_index(index)
         return index
 
@@ -184,23 +192,31 @@ class Bank:
 
     def _read_spec(self) -> BankSpec:
         attributes = self._file.attrs
-        for name, expected in (("format", FORMAT.encode()), ("version", VERSION)):
+        for name, known in (("format", (FORMAT.encode(),)), ("version", VERSIONS)):
             found = attributes.get(name)
-            if not np.isscalar(found) or found != expected:
-                raise self._fault(f"attribute {name}", repr(expected), reprlib.repr(found))
+            if not np.isscalar(found) or found not in known:
+                expected = " or ".join(map(repr, known))
+                raise self._fault(f"attribute {name}", expected, reprlib.repr(found))
         spec = attributes.get("spec")
         if not isinstance(spec, bytes):
             raise self._fault("attribute spec", "JSON as bytes", reprlib.repr(spec))
         try:
-            return BankSpec.from_json(spec.decode())
+            read = BankSpec.from_json(spec.decode())
         except (BankFormatError, UnicodeDecodeError) as error:
             raise BankFormatError(f"{self.path}: attribute spec: {error}") from error
+        if read.version != attributes["version"]:
+            raise self._fault(
+                "attribute version",
+                f"{read.version} for a spec {'with' if read.frustum.bands else 'without'} bands",
+                repr(int(attributes["version"])),
+            )
+        return read
 
     def _check_objects(self) -> None:
         """Check every object's type and size, and that its data is there, reading none of it."""
-        cells, slices = self.spec.cells, self.spec.frustum.slices
+        cells = self.spec.cells
         shapes: dict[str, tuple[int | None, ...]] = {
-            "index": (len(self), slices),
+            "index": (len(self), *self.spec.frustum.mask_axes),
             "poses": (len(self), 3),
             "masks/indptr": (None,),
             "masks/indices": (None,),
@@ -316,13 +332,19 @@ def open_bank(path: str | Path, check: bool = True) -> Bank:
     try:
         if path.exists() and not path.is_file():
             raise BankError(f"{path}: is a folder or not a plain file; name a bank")
-        if check:
-            check_seal(path)
-        return Bank(path)
+        sealed = check_seal(path) if check else None
+        bank = Bank(path)
+        if sealed not in (None, bank.spec.version):
+            bank.close()
+            raise BankFormatError(
+                f"{path}: is sealed as version {sealed}, and its spec is one of version "
+                f"{bank.spec.version}; build it again with slicemask build --force"
+            )
+        return bank
     except FileNotFoundError:
         raise BankError(f"{path}: there is no such bank") from None
     except PermissionError:
-        raise BankError(f"{path}: may not be read") from None
+        raise BankError(f"{path}: permission denied; change the file's permissions") from None
     except BankError:
         raise
     except _HDF5_ERRORS as error:

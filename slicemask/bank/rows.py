@@ -3,14 +3,15 @@
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slicemask.geometry.distinct import Images
+from slicemask.geometry.distinct import SectorOrbit
+from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import NEGLIGIBLE, Engine, engine_fractions
 from slicemask.geometry.symmetry import SYMMETRIES
 
@@ -40,53 +41,73 @@ class Rows:
     data: NDArray[np.float32]
 
 
-def split_by_size(images: Images, cells: int) -> Iterator[Images]:
+def split_by_size(orbit: SectorOrbit, cells: int) -> Iterator[SectorOrbit]:
     """Split slices into pieces of bounded size; a sector's images stay together."""
-    step = max(1, _PIECE_VALUES // cells**2)
-    for start in range(0, len(images.u), step):
+    step = _piece_slices(orbit, cells)
+    for start in range(0, len(orbit.u), step):
         sectors = slice(start, start + step)
-        first, last = np.searchsorted(images.sector, [start, start + step])
-        yield Images(
-            images.u[sectors],
-            images.v[sectors],
-            images.left_deg[sectors],
-            images.right_deg[sectors],
-            images.sector[first:last] - start,
-            images.symmetry[first:last],
+        first, last = np.searchsorted(orbit.sector, [start, start + step])
+        yield SectorOrbit(
+            orbit.u[sectors],
+            orbit.v[sectors],
+            orbit.left_deg[sectors],
+            orbit.right_deg[sectors],
+            orbit.heading_deg[sectors],
+            orbit.in_tile[sectors],
+            orbit.sector[first:last] - start,
+            orbit.symmetry[first:last],
         )
 
 
-def mask_rows(images: Images, cells: int, engine: Engine) -> list[Rows]:
+def _piece_slices(orbit: SectorOrbit, cells: int) -> int:
+    return max(1, _PIECE_VALUES // (cells**2 * orbit.in_tile.shape[1]))
+
+
+def mask_rows(orbit: SectorOrbit, frustum: Frustum, cells: int, engine: Engine) -> list[Rows]:
     """Compute the sectors' masks, and return the rows of their images in order, in parts."""
-    sectors = _sector_masks(images, cells, engine)
+    sectors = _sector_masks(orbit, frustum, cells, engine)
     # A few images at a time stay in the processor's cache.
-    step = max(1, _PIECE_VALUES // cells**2)
+    step = _piece_slices(orbit, cells)
+    parts = [slice(start, start + step) for start in range(0, len(orbit.sector), step)]
     return [
-        _image_rows(sectors, images.sector[start : start + step],
-                    images.symmetry[start : start + step])
-        for start in range(0, len(images.sector), step)
-    ]  # fmt: skip
+        _image_rows(sectors, orbit.in_tile, orbit.sector[part], orbit.symmetry[part])
+        for part in parts
+    ]
 
 
-def _sector_masks(images: Images, cells: int, engine: Engine) -> NDArray[np.float32]:
-    """Masks of the sectors, float32 [R, L, L], with rounding noise where they are near 0."""
-    width_deg = images.right_deg - images.left_deg
-    some = (width_deg > 0.0) & (width_deg < 360.0)
-    fractions: NDArray[np.float32] = engine_fractions(engine)(
-        images.u[some], images.v[some], images.left_deg[some], images.right_deg[some], cells
-    ).astype(np.float32)  # which rounds noise near 1 away
+def _sector_masks(
+    orbit: SectorOrbit, frustum: Frustum, cells: int, engine: Engine
+) -> NDArray[np.float32]:
+    """Masks of the sectors, float32 [R, B, L, L], with rounding noise where they are near 0.
+
+    Of slices that are equal wherever they are seen from, B is 1: they have no bands.
+    """
+    if orbit.in_tile.shape[1] == 1:
+        frustum = replace(frustum, bands=())
+    width_deg = orbit.right_deg - orbit.left_deg
+    some = width_deg > 0.0
+    if not frustum.bands:  # a whole tile needs no engine
+        some &= width_deg < 360.0
+    arguments = (orbit.u, orbit.v, orbit.left_deg, orbit.right_deg, orbit.heading_deg)
+    # Rounding to float32 rounds noise near 1 away.
     if some.all():  # as nearly always: a copy would take longer than the masks themselves
-        return fractions
-    masks = np.zeros((len(some), cells, cells), dtype=np.float32)
-    masks[width_deg == 360.0] = 1.0
-    masks[some] = fractions
+        fractions = engine_fractions(engine, frustum)(*arguments, cells)
+        return np.asarray(fractions.astype(np.float32))
+    masks = np.zeros((*orbit.in_tile.shape, cells, cells), dtype=np.float32)
+    if some.any():
+        masks[some] = engine_fractions(engine, frustum)(*(x[some] for x in arguments), cells)
+    if not frustum.bands:
+        masks[width_deg == 360.0] = 1.0
     return masks
 
 
 def _image_rows(
-    sectors: NDArray[np.float32], sector: NDArray[np.int64], symmetry: NDArray[np.int64]
+    sectors: NDArray[np.float32],
+    in_tile: NDArray[np.bool_],
+    sector: NDArray[np.int64],
+    symmetry: NDArray[np.int64],
 ) -> Rows:
-    """Rows of images of sectors' masks [R, L, L]."""
+    """Rows of images of sectors' masks [R, B, L, L]: of the bands on the tile, in order."""
     # In the order of the symmetries, all images by one of them are made by one copy.
     order = np.argsort(symmetry, kind="stable")
     ends = np.searchsorted(symmetry[order], np.arange(len(SYMMETRIES) + 1))
@@ -95,9 +116,12 @@ def _image_rows(
     for image, (start, end) in zip(SYMMETRIES, pairwise(ends), strict=True):
         moved[start:end] = image.masks(dense[start:end])
     dense[order] = moved
-    flat = dense.reshape(-1)
+    rows, kept = dense.reshape(-1, dense[0, 0].size), in_tile[sector].ravel()
+    if not kept.all():
+        rows = rows[kept]
+    flat = rows.reshape(-1)
     at = np.flatnonzero(flat >= NEGLIGIBLE)
-    starts = np.arange(len(dense) + 1) * dense[0].size
+    starts = np.arange(len(rows) + 1) * rows.shape[1]
     counts = np.diff(np.searchsorted(at, starts))
     cell = at - np.repeat(starts[:-1], counts)
     return Rows(counts, cell.astype(np.int32), flat[at])

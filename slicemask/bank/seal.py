@@ -13,7 +13,8 @@ from pathlib import Path
 from slicemask.errors import BankFormatError
 
 SEAL_BYTES = 512
-VERSION = 1
+# Of the format: 2 where slices have bands, and only there.
+VERSIONS = (1, 2)
 
 _MAGIC = b"slicemask-bank "
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -22,13 +23,13 @@ _PATTERN = re.compile(
 )
 
 
-def write_seal(path: Path) -> None:
-    """Seal a finished file in place: fill in its first 512 bytes."""
+def write_seal(path: Path, version: int) -> None:
+    """Seal a finished file of a format version in place: fill in its first 512 bytes."""
     with path.open("r+b") as file:
         file.seek(SEAL_BYTES)
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         size = file.tell()
-        text = f"slicemask-bank {VERSION}\nbytes {size}\nsha256 {digest}\n"
+        text = f"slicemask-bank {version}\nbytes {size}\nsha256 {digest}\n"
         file.seek(0)
         file.write(text.encode().ljust(SEAL_BYTES, b"\0"))
 
@@ -39,10 +40,15 @@ def has_seal(path: Path) -> bool:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
-def check_seal(path: Path) -> None:
-    """Check that a file is a bank of this version and is as it was written.
+def check_seal(path: Path) -> int:
+    """Check that a file is a bank of a known version and is as it was written.
 
     Reads the whole file once, in small pieces.
+
+    Returns
+    -------
+    version : int
+        Of the format, as the seal has it.
 
     Raises
     ------
@@ -57,10 +63,11 @@ def check_seal(path: Path) -> None:
         if match is None or len(block) < SEAL_BYTES:
             raise BankFormatError(f"{path}: {_fault(block)}")
         version, size, expected = int(match[1]), int(match[2]), match[3].decode()
-        if version != VERSION:
+        if version not in VERSIONS:
             raise BankFormatError(
-                f"{path}: is a bank of version {version}, and this slicemask reads version "
-                f"{VERSION}: read it with the slicemask that wrote it, or build it again"
+                f"{path}: is a bank of version {version}, and this slicemask reads versions "
+                f"{' and '.join(map(str, VERSIONS))}: read it with the slicemask that wrote it, or "
+                "build it again"
             )
         file.seek(0, 2)
         if file.tell() != size:
@@ -75,6 +82,7 @@ def check_seal(path: Path) -> None:
             f"{path}: was altered after it was written: expected SHA-256 {expected[:12]}..., "
             f"found {digest[:12]}...; build it again with slicemask build --force"
         )
+    return version
 
 
 def _fault(block: bytes) -> str:

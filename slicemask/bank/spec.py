@@ -63,7 +63,7 @@ class BankSpec:
     poses : PoseGrid or PoseDigest
         The candidate poses: a grid, or the digest of a list.
     frustum : Frustum
-        Field of view and slices.
+        Field of view, slices and bands.
     cells : int
         L, the cells along each side of the tile, 1 to 8192.
     engine : {"shapely", "rays"}
@@ -88,11 +88,12 @@ class BankSpec:
         check_engine(self.engine)
         # The product of the shape, since a length beyond 63 bits is an error of Python's.
         count = math.prod(self.grid.shape) if self.grid is not None else len(self.poses)
-        masks = count * self.frustum.slices
+        masks = count * math.prod(self.frustum.mask_axes)
         if masks >= 2**31:
+            bands = f" of {self.frustum.band_count} bands" if self.frustum.bands else ""
             raise SpecError(
-                f"{self.poses} with {self.frustum.slices} slices make {masks:,} masks; a bank "
-                "numbers them with 31 bits: choose fewer poses or slices"
+                f"{self.poses} with {self.frustum.slices} slices{bands} make {masks:,} masks; a "
+                "bank numbers them with 31 bits: choose fewer poses, slices or bands"
             )
         if not all(isinstance(text, str) for pair in self.versions.items() for text in pair):
             raise SpecError(f"versions are {self.versions!r}; they must be text by name")
@@ -102,10 +103,17 @@ class BankSpec:
         """The pose grid, or None for a list of poses."""
         return self.poses if isinstance(self.poses, PoseGrid) else None
 
+    @property
+    def version(self) -> int:
+        """Version of the format that the bank is written in: 2 with bands, else 1."""
+        return 2 if self.frustum.bands else 1
+
     def to_json(self) -> str:
-        """The spec as JSON text, keys sorted."""
+        """The spec as JSON text, keys sorted; with "bands" in the frustum only if there are any."""
         poses = "grid" if isinstance(self.poses, PoseGrid) else "poses"
         content = asdict(self)
+        if not self.frustum.bands:
+            del content["frustum"]["bands"]
         content[poses] = content.pop("poses")
         return json.dumps(content, sort_keys=True)
 
@@ -150,7 +158,10 @@ class BankSpec:
         parts.append(f"hfov{_plain(self.frustum.hfov_deg)}")
         if self.frustum.projection != "equirectangular":
             parts.append(self.frustum.projection)
-        parts += [f"n{self.frustum.slices}", f"l{self.cells}"]
+        parts.append(f"n{self.frustum.slices}")
+        if self.frustum.bands:
+            parts.append("bands" + "-".join(map(_plain, self.frustum.bands)))
+        parts.append(f"l{self.cells}")
         if self.engine != "shapely":
             parts.append(self.engine)
         return "_".join(parts) + ".h5"
@@ -161,7 +172,8 @@ class BankSpec:
         words = [
             str(self.poses),
             f"hfov {_plain(frustum.hfov_deg)} deg {frustum.projection}",
-            f"{frustum.slices} slices",
+            f"{frustum.slices} slices"
+            + (f" with bands at {','.join(map(_plain, frustum.bands))}" if frustum.bands else ""),
             f"{self.cells}x{self.cells} cells",
             f"engine {self.engine}",
         ]

@@ -1,5 +1,6 @@
 """Checking a bank: its masks recomputed independently, by the other engine."""
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from slicemask.threads import thread_count
 
 # Half a unit in the last place of a float32 below 1, and what two engines may differ by.
 TOLERANCE = 2.0**-25 + 1e-9
+# A circle between bands is a polygon to one of them.
+CIRCLE_TOLERANCE = 2.0**-25 + 1e-6
 
 _BATCH_VALUES = 1 << 20
 
@@ -33,10 +36,10 @@ class Verification:
         Between a stored fraction and the recomputed one.
     wrong_masks : int
         Masks that differ by more than ``tolerance`` somewhere.
-    first_wrong : (int, int), optional
-        Pose and slice of the first of them.
+    first_wrong : tuple of int, optional
+        Pose and slice of the first of them, and its band if slices have bands.
     tolerance : float
-        What rounding to float32 explains.
+        What rounding to float32 and the engines' own differences explain.
     """
 
     engine: Engine
@@ -44,7 +47,7 @@ class Verification:
     masks: int
     largest_difference: float
     wrong_masks: int
-    first_wrong: tuple[int, int] | None
+    first_wrong: tuple[int, ...] | None
     tolerance: float = TOLERANCE
 
     @property
@@ -91,25 +94,27 @@ def verify_bank(
     if sample is not None and sample < 1:
         raise SpecError(f"sample is {sample!r}; it must be at least 1")
     spec = bank.spec
-    slices, cells = spec.frustum.slices, spec.cells
+    masks, cells = math.prod(spec.frustum.mask_axes), spec.cells
+    circles = bool(spec.frustum.bands) and spec.frustum.projection == "equirectangular"
+    tolerance = CIRCLE_TOLERANCE if circles else TOLERANCE
     poses = bank.poses  # which reading holds against the spec
     engine: Engine = "rays" if spec.engine == "shapely" else "shapely"
-    count = len(bank) if sample is None else min(len(bank), -(-sample // slices))
+    count = len(bank) if sample is None else min(len(bank), -(-sample // masks))
     chosen = np.arange(len(bank))
     if count < len(bank):
         chosen = np.sort(np.random.default_rng(0).choice(len(bank), count, replace=False))
     matrix = bank.csr() if sample is None else None
 
     def differences(some: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Largest difference in each mask of some poses, [k, N]."""
+        """Largest difference in each mask of some poses, [k, N] or [k, N, B]."""
         expected = slice_masks(poses[some], spec.frustum, cells, engine)
         if matrix is None:
             stored = bank.masks(some)
         else:
             stored = matrix[bank.index[some].ravel()].toarray().reshape(expected.shape)
-        return np.asarray(np.abs(stored - expected).max(axis=(2, 3)))
+        return np.asarray(np.abs(stored - expected).max(axis=(-2, -1)))
 
-    step = max(1, _BATCH_VALUES // (slices * cells**2))
+    step = max(1, _BATCH_VALUES // (masks * cells**2))
     parts = [chosen[start : start + step] for start in range(0, count, step)]
 
     def compare(check: CancelCheck) -> Verification:
@@ -119,15 +124,15 @@ def verify_bank(
             for part, difference in zip(parts, pool.map(differences, parts), strict=True):
                 check()
                 largest = max(largest, float(difference.max()))
-                faulty = np.argwhere(~(difference <= TOLERANCE))
+                faulty = np.argwhere(~(difference <= tolerance))
                 wrong += len(faulty)
                 if len(faulty) and first is None:
-                    first = int(part[faulty[0, 0]]), int(faulty[0, 1])
+                    first = (int(part[faulty[0, 0]]), *map(int, faulty[0, 1:]))
                 done += len(part)
                 if progress:
                     progress(done, count)
         finally:
             pool.shutdown(cancel_futures=True)
-        return Verification(engine, count, count * slices, largest, wrong, first)
+        return Verification(engine, count, count * masks, largest, wrong, first, tolerance)
 
     return run_cancellable(compare)

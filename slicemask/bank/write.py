@@ -1,6 +1,7 @@
 """Writing a bank: streamed to a file that takes its name only when it is whole."""
 
 import io
+import math
 import os
 import secrets
 from collections import deque
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slicemask.bank.chunks import FILTERS, encode_chunk
-from slicemask.bank.seal import SEAL_BYTES, VERSION, write_seal
+from slicemask.bank.seal import SEAL_BYTES, write_seal
 from slicemask.bank.spec import BankSpec
 from slicemask.files import sync_to_disk
 
@@ -117,7 +118,7 @@ class BankWriter:
         self._open.callback(self._file.close)
         # A bytes attribute, unlike a str, lies where HDF5 keeps a checksum.
         self._file.attrs["format"] = np.bytes_(FORMAT)
-        self._file.attrs["version"] = VERSION
+        self._file.attrs["version"] = self.spec.version
         self._file.attrs["spec"] = np.bytes_(self.spec.to_json())
         group = self._file.create_group("masks")
         group.attrs["encoding-type"] = "csr_matrix"
@@ -127,9 +128,8 @@ class BankWriter:
         self._indptr = self._column("masks/indptr", np.int64)
         self._append(self._indptr, np.zeros(1, dtype=np.int64))
 
-    def _column(self, name: str, dtype: type, width: int | None = None) -> _Column:
-        tail = () if width is None else (width,)
-        chunk = (max(1, _CHUNK_VALUES // (width or 1)), *tail)
+    def _column(self, name: str, dtype: type, *tail: int) -> _Column:
+        chunk = (max(1, _CHUNK_VALUES // math.prod(tail)), *tail)
         return _Column(
             self._file.create_dataset(
                 name, (0, *tail), dtype, chunks=chunk, maxshape=(None, *tail), **FILTERS
@@ -174,9 +174,9 @@ class BankWriter:
         self._raise_failure()
 
     def finish(self, index: NDArray[np.int32], poses: Iterable[NDArray[np.float64]]) -> None:
-        """Add the index [K, N], copied piece by piece, and the poses, in pieces [k, 3]."""
+        """Add the index [K, N] or [K, N, B], piece by piece, and the poses, in pieces [k, 3]."""
         self._begun.result()
-        index_column = self._column("index", np.int32, index.shape[1])
+        index_column = self._column("index", np.int32, *index.shape[1:])
         self._append(index_column, index)
         poses_column = self._column("poses", np.float64, 3)
         for some in poses:
@@ -208,7 +208,7 @@ class BankWriter:
             # The disk has its work while the bytes are summed up.
             with ThreadPoolExecutor(1) as beside:
                 synced = beside.submit(sync_to_disk, self.partial)
-                write_seal(self.partial)
+                write_seal(self.partial, self.spec.version)
             synced.result()
             sync_to_disk(self.partial)
             os.replace(self.partial, self.target)

@@ -1,11 +1,13 @@
 """Commands on banks of masks: build, info, verify and visualize."""
 
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,6 @@ import click
 
 import slicemask
 from slicemask import Frustum, PoseGrid
-from slicemask.bank.seal import VERSION
 from slicemask.bank.write import FORMAT
 from slicemask.cli.options import (
     Numbers,
@@ -74,7 +75,7 @@ def _fast_thread_switching() -> Iterator[None]:
 )
 @click.option("--out", metavar="FILE", help="Where the bank goes.  [default: a name in the cache]")
 @cache_option
-@click.option("--force", is_flag=True, help="Build again, and replace the bank that is there.")
+@click.option("--force", is_flag=True, help="Build again, and replace an existing bank.")
 @click.option("--jobs", type=int, help="Threads.  [default: all processors]")
 @as_json_option
 def build(
@@ -86,6 +87,7 @@ def build(
     slices: int,
     cells: int,
     projection: Any,
+    bands: tuple[float, ...],
     engine: Any,
     out: str | None,
     cache: str | None,
@@ -99,7 +101,7 @@ def build(
     if pose_file is not None and (extent is not None or places != "centres"):
         raise click.UsageError("--extent and --places belong to --grid, not to --poses.")
     start = time.perf_counter()
-    frustum = Frustum(hfov, slices, projection)
+    frustum = Frustum(hfov, slices, projection, bands)
     poses = (
         slicemask.read_poses(pose_file)
         if pose_file is not None
@@ -121,7 +123,7 @@ def build(
         "path": str(result.path),
         "reused": result.reused,
         "poses": len(poses),
-        "masks": len(poses) * slices,
+        "masks": len(poses) * math.prod(frustum.mask_axes),
         "distinct_masks": result.rows,
         "bytes": result.path.stat().st_size,
         "seconds": round(time.perf_counter() - start, 3),
@@ -133,7 +135,7 @@ def build(
     print_result(
         as_json,
         content,
-        f"{result.path}: is there already and matches ({figures}); --force builds it again"
+        f"{result.path}: already exists and matches ({figures}); --force builds it again"
         if result.reused
         else f"{result.path}: built in {content['seconds']:.2f} s ({figures})",
     )
@@ -143,25 +145,26 @@ def build(
 @click.argument("bank")
 @as_json_option
 def info(bank: str, as_json: bool) -> None:
-    """Say what a bank holds."""
+    """Show what a bank holds."""
     with slicemask.open_bank(bank) as opened:
         spec = opened.spec
         content = {
             "path": bank,
             "format": FORMAT,
-            "version": VERSION,
+            "version": spec.version,
             "spec": json.loads(spec.to_json()),
             "poses": len(opened),
-            "masks": len(opened) * spec.frustum.slices,
+            "masks": len(opened) * math.prod(spec.frustum.mask_axes),
             "distinct_masks": opened.rows,
             "nonzeros": opened.nonzeros,
             "bytes": Path(bank).stat().st_size,
         }
     lines = {
-        "bank": f"{bank} ({FORMAT}, version {VERSION})",
+        "bank": f"{bank} ({FORMAT}, version {spec.version})",
         "poses": f"{len(opened):,} ({'a list' if spec.grid is None else spec.poses})",
         "HFoV": f"{spec.frustum.hfov_deg:g} degrees, {spec.frustum.projection}",
         "slices": str(spec.frustum.slices),
+        "bands": ", ".join(_band_texts(spec.frustum.bands)),
         "cells": f"{spec.cells} x {spec.cells}",
         "masks": f"{content['masks']:,}, {opened.rows:,} of them distinct",
         "nonzeros": f"{opened.nonzeros:,}, {opened.nonzeros / opened.rows:.1f} a distinct mask",
@@ -172,7 +175,15 @@ def info(bank: str, as_json: bool) -> None:
     if spec.grid is not None:
         u0, v0, u1, v1 = spec.grid.extent
         lines["extent"] = f"u {u0:g} to {u1:g}, v {v0:g} to {v1:g}, places at {spec.grid.places}"
+    if not spec.frustum.bands:
+        del lines["bands"]
     print_result(as_json, content, "\n".join(f"{name:<10}{text}" for name, text in lines.items()))
+
+
+def _band_texts(bands: tuple[float, ...]) -> list[str]:
+    """The bands as ranges, in shares of the tile's side."""
+    edges = ["0", *(f"{range_:g}" for range_ in bands), ""]
+    return [f"{near} to {far}" if far else f"beyond {near}" for near, far in pairwise(edges)]
 
 
 @click.command()
@@ -188,17 +199,18 @@ def verify(
     from slicemask.bank.verify import verify_bank
 
     if everything and sample is not None:
-        raise click.UsageError("Give either --sample or --all.")
+        raise click.UsageError("Give only one of --sample and --all.")
     count = None if everything else 2000 if sample is None else sample
     with slicemask.open_bank(bank) as opened, progress_bar("verifying", "poses") as progress:
         found = verify_bank(opened, count, jobs, progress)
     compared = f"{found.masks:,} masks of {found.poses:,} poses recomputed with {found.engine}"
     largest = f"largest difference {found.largest_difference:.2e}"
     if found.first_wrong is None:
-        verdict = f"{largest}, within float32 rounding ({found.tolerance:.1e})"
+        verdict = f"{largest}, within what rounding explains ({found.tolerance:.1e})"
     else:
-        pose, number = found.first_wrong
-        verdict = f"{found.wrong_masks:,} are wrong, first slice {number} of pose {pose}; {largest}"
+        pose, number, *band = found.first_wrong
+        which = f"band {band[0]} of slice {number}" if band else f"slice {number}"
+        verdict = f"{found.wrong_masks:,} are wrong, first {which} of pose {pose}; {largest}"
     print_result(
         as_json, {**asdict(found), "passed": found.passed}, f"{bank}: {compared}: {verdict}"
     )
@@ -236,13 +248,17 @@ def visualize(
     slices: int,
     cells: int,
     projection: Any,
+    bands: tuple[float, ...],
     aerial: str | None,
     out: str | None,
     animate: str | None,
     cache: str | None,
     as_json: bool,
 ) -> None:
-    """Draw the slices of a pose: of BANK, of the newest bank, or of --at."""
+    """Draw the slices of a pose.
+
+    The pose is one of BANK or of the newest bank, or any other with --at.
+    """
     from slicemask import plot, view
 
     if at is not None and (bank is not None or pose is not None):
@@ -250,12 +266,12 @@ def visualize(
     if cache is not None and (bank is not None or at is not None):
         raise click.UsageError("--cache says where the newest bank is; it needs no BANK or --at.")
     if at is None:
-        for name in ("hfov", "slices", "cells", "projection"):
+        for name in ("hfov", "slices", "cells", "projection", "bands"):
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name} belongs to --at; a bank has its own.")
     tile = plot.read_aerial(aerial) if aerial is not None else None
     seen = (
-        view.view_at(at, Frustum(hfov, slices, projection), cells)
+        view.view_at(at, Frustum(hfov, slices, projection, bands), cells)
         if at is not None
         else view.view_of_bank(bank, pose, cache)
     )

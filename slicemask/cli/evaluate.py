@@ -5,13 +5,14 @@ from typing import Any
 import click
 
 from slicemask.cli.options import (
+    NumberList,
     Numbers,
     as_json_option,
     cache_option,
     frustum_options,
     given_options,
 )
-from slicemask.cli.output import print_result, progress_bar
+from slicemask.cli.output import print_result, progress_bar, status_line
 from slicemask.cli.run_options import (
     check_model_installed,
     device_option,
@@ -23,7 +24,7 @@ from slicemask.cli.run_options import (
 )
 
 
-@click.command()
+@click.command(short_help="Measure the errors of a trained RUN.")
 @run_options
 @click.option(
     "--split",
@@ -38,7 +39,30 @@ from slicemask.cli.run_options import (
     help="Part of the data set.",
 )
 @root_option
-@click.option("--limit", type=int, help="Only so many samples, spread evenly.  [default: all]")
+@click.option("--limit", type=int, help="Only so many samples, evenly spaced.  [default: all]")
+@click.option(
+    "--heading-prior",
+    "heading_half_width_deg",
+    type=float,
+    metavar="HALF_WIDTH",
+    help="Degrees around the data set's heading; 180 for any.  [default: the run's]",
+)
+@click.option(
+    "--headings",
+    metavar="FILE",
+    help="True headings in the order of the label files: one a line, or .npy.  "
+    "[default: drawn from the run's seed]",
+)
+@click.option(
+    "--headings-unit",
+    type=click.Choice(["degrees", "radians", "turns"]),
+    help="Of that file; clockwise from north.  [default: degrees]",
+)
+@click.option(
+    "--recalls",
+    type=NumberList("1,3,5"),
+    help="Metres and degrees below which recalls count.  [default: 1,3,5]",
+)
 @click.option("--out", metavar="DIR", help="Where the results go.  [default: in the run folder]")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @workers_option
@@ -46,8 +70,11 @@ from slicemask.cli.run_options import (
 @as_json_option
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
     """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
+    if options["headings_unit"] is not None and options["headings"] is None:
+        raise click.UsageError("--headings-unit belongs to --headings.")
     check_model_installed()
-    from slicematch.evaluation.evaluate import evaluate
+    with status_line("loading torch"):
+        from slicematch import evaluate
 
     with progress_bar("evaluating", "samples") as progress:
         evaluation, folder = evaluate(run, progress=progress, **given_options(options))
@@ -83,6 +110,7 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
 @click.pass_context
 def benchmark(
     ctx: click.Context,
+    /,
     run: str | None,
     grid: str | None,
     device: str,
@@ -93,11 +121,14 @@ def benchmark(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Time encoding, aggregation and scoring: of a trained RUN, or of the settings given."""
+    """Time encoding, aggregation and scoring.
+
+    Of a trained RUN, or of an untrained model with the settings given.
+    """
     check_model_installed()
     from slicematch.evaluation.timing import time_run, time_settings
 
-    shared = {
+    shared: dict[str, Any] = {
         "device": device,
         "precision": precision,
         "cache": cache,
@@ -108,7 +139,8 @@ def benchmark(
         for name in settings:
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name.replace('_', '-')} cannot be changed in a run.")
-        timings = time_run(run, grid=grid, **shared)
+        with status_line("timing"):
+            timings = time_run(run, grid=grid, **shared)
     else:
         settings["hfov_deg"] = settings.pop("hfov")
         with progress_bar("building", "poses") as progress:

@@ -17,24 +17,15 @@ from slicemask.interrupts import exit_on_signals
 # none: `slicemask --help` answers in 0.1 s, and NumPy and h5py alone take as long.
 _COMMANDS = {
     "build": ("bank", "Build the bank of a pose grid, or of a list of poses."),
-    "info": ("bank", "Say what a bank holds."),
+    "info": ("bank", "Show what a bank holds."),
     "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
-    "visualize": ("bank", "Draw the slices of a pose: of BANK, of the newest bank, or of --at."),
-    "synth": ("synth", "Generate a city with exact poses, in VIGOR's or KITTI's on-disk format."),
+    "visualize": ("bank", "Draw the slices of a pose."),
+    "synth": ("synth", "Generate a city with exact poses, on disk as VIGOR or KITTI."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
-    "evaluate": (
-        "evaluate",
-        "Measure the errors of a trained RUN, and what the candidate grid alone costs.",
-    ),
-    "calibrate": (
-        "train",
-        "Fit what makes scores of RUN probabilities, on its validation part; training does so too.",
-    ),
+    "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
+    "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
-    "benchmark": (
-        "evaluate",
-        "Time encoding, aggregation and scoring: of a trained RUN, or of the settings given.",
-    ),
+    "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 
 
@@ -72,14 +63,14 @@ class _Group(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         limit = formatter.width - 6 - max(map(len, _COMMANDS))
         rows = [
-            (name, click.utils.make_default_short_help(text, limit))
+            (name, click.Command(name, help=text).get_short_help_str(limit))
             for name, (_, text) in _COMMANDS.items()
         ]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
     def invoke(self, ctx: click.Context) -> Any:
-        # What was imported is no garbage at the end, either.
+        # What was imported is not garbage at the end, either.
         gc.freeze()
         try:
             # What is half-written is cleared away on the way out, for `kill` as for Ctrl-C.

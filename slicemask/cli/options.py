@@ -1,13 +1,18 @@
 """Types of option values, and the options that several commands share."""
 
+import functools
+import logging
+import math
 from collections.abc import Callable
 from typing import Any
 
 import click
 
+log = logging.getLogger(__name__)
+
 
 class Numbers(click.ParamType):
-    """Numbers parted by commas, such as ``0.5,0.5,90``."""
+    """Numbers separated by commas, such as ``0.5,0.5,90``."""
 
     def __init__(self, names: str, kind: type = float):
         self.name = names
@@ -25,6 +30,26 @@ class Numbers(click.ParamType):
         if len(numbers) != len(self.name.split(",")):
             self.fail(f"{value!r} is not {self.name}", param, ctx)
         return numbers
+
+
+class NumberList(click.ParamType):
+    """Any count of numbers separated by commas, such as the example."""
+
+    name = "number,..."
+
+    def __init__(self, example: str):
+        self.example = example
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Read a value that was typed, or fail with what was expected."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return tuple(float(part) for part in value.split(",")) if value else ()
+        except ValueError:
+            self.fail(
+                f"{value!r} is not numbers separated by commas, such as {self.example}", param, ctx
+            )
 
 
 class ImageSize(click.ParamType):
@@ -52,7 +77,14 @@ cache_option = click.option(
 
 
 def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --hfov, --slices and --projection."""
+    """Add --hfov, --slices, --projection and --bands; values that look like slips are logged."""
+
+    @functools.wraps(command)
+    def with_warnings(*arguments: Any, **options: Any) -> Any:
+        _warn_of_hfov(click.get_current_context(), options["hfov"])
+        return command(*arguments, **options)
+
+    decorated: Callable[..., Any] = with_warnings
     for option in reversed(
         (
             click.option(
@@ -73,10 +105,41 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 show_default=True,
                 help="Equal azimuth ranges, or equal widths in a pinhole image.",
             ),
+            click.option(
+                "--bands",
+                type=NumberList("0.08,0.17,0.33"),
+                default="",
+                help="Cut each slice into bands of range at these distances (pinhole: depths), in "
+                "shares of the tile's side, such as 0.08,0.17,0.33.  [default: no bands]",
+            ),
         )
     ):
-        command = option(command)
-    return command
+        decorated = option(decorated)
+    return decorated
+
+
+def _warn_of_hfov(ctx: click.Context, hfov_deg: float) -> None:
+    """Warn of a field of view that is valid and almost surely not what was meant."""
+    given = {
+        name: ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+        for name in ("hfov", "projection")
+    }
+    if not given["hfov"] or not 0.0 < hfov_deg < 180.0:
+        return
+    if hfov_deg <= 2.0 * math.pi + 1e-3 and hfov_deg % 1.0 != 0.0:
+        log.warning(
+            "--hfov is %g degrees, as if it were in radians; in degrees that is %.4g",
+            hfov_deg,
+            math.degrees(hfov_deg),
+        )
+    elif not given["projection"] and 360.0 % hfov_deg != 0.0:
+        # Parts of a panorama are whole fractions of it; cameras have odd fields of view.
+        log.warning(
+            "--hfov is %g degrees, as of a camera, and slices are taken as of a panorama, of equal "
+            "azimuth ranges; a camera's have equal widths: --projection pinhole "
+            "(--projection equirectangular silences this)",
+            hfov_deg,
+        )
 
 
 cells_option = click.option(

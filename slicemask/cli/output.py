@@ -2,18 +2,33 @@
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import click
 
+# Where nobody watches a bar, and a log may keep every line.
+SECONDS_BETWEEN_LINES = 30.0
+
 
 @contextmanager
-def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A progress bar on a terminal; None elsewhere."""
+def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on a terminal; elsewhere a line about every 30 seconds, both on stderr.
+
+    Parameters
+    ----------
+    what, unit : str
+        What is being done, and to what, such as "building" and "poses".
+
+    Yields
+    ------
+    progress : callable
+        To be called with how many are done and how many there are in all.
+    """
     if not sys.stderr.isatty():
-        yield None
+        yield ProgressLines(what, unit)
         return
     from rich.console import Console
     from rich.progress import (
@@ -40,6 +55,64 @@ def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None] | 
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+class ProgressLines:
+    """Says on stderr how far something is, about every 30 seconds, with the time left.
+
+    Parameters
+    ----------
+    what, unit : str
+        As for `progress_bar`.
+    clock : callable
+        Gives seconds.
+    """
+
+    def __init__(self, what: str, unit: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._what = what
+        self._unit = unit
+        self._clock = clock
+        self._start = self._said = clock()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Say it, if it is time again."""
+        now = self._clock()
+        if now - self._said < SECONDS_BETWEEN_LINES or not 0 < done < total:
+            return
+        self._said = now
+        left = (now - self._start) / done * (total - done)
+        click.echo(
+            f"{self._what}: {done:,} of {total:,} {self._unit}, about {readable_time(left)} left",
+            err=True,
+        )
+
+
+def readable_time(seconds: float) -> str:
+    """A time as people read it, such as 45 s, 12 min or 3.5 h."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 99.5 * 60 else f"{seconds / 3600:.1f} h"
+
+
+@contextmanager
+def status_line(what: str) -> Iterator[Callable[[str], None] | None]:
+    """A line that says what is being done, with a spinner, on a terminal; None elsewhere.
+
+    It stands there at once, and is removed at the end.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.spinner import Spinner
+
+    def line(text: str) -> Spinner:
+        return Spinner("dots", f"{text} ...")
+
+    with Live(line(what), console=Console(stderr=True), transient=True) as live:
+        live.refresh()  # now, and not at the end of its first interval
+        yield lambda text: live.update(line(text), refresh=True)
 
 
 def readable_size(count: int) -> str:

@@ -1,6 +1,7 @@
 """The RUN argument, and the options that commands on a run share."""
 
-import importlib.util
+import importlib.metadata
+import re
 from collections.abc import Callable
 from typing import Any, get_args
 
@@ -62,12 +63,29 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def check_model_installed() -> None:
     """Refuse the command, with what to install, where packages of the model are missing."""
-    missing = [
-        name
-        for name in ("torch", "timm", "lightning", "pyproj", "safetensors", "tensorboard", "yaml")
-        if importlib.util.find_spec(name) is None
-    ]
+    missing = [name for name in _model_packages() if not _is_installed(name)]
     if missing:
         raise click.ClickException(
             f"this command needs {', '.join(missing)}; install: pip install 'slicemask[model]'"
         )
+
+
+def _model_packages() -> list[str]:
+    """The packages that `slicemask[model]` asks for, as its own metadata name them."""
+    try:
+        requirements = importlib.metadata.requires("slicemask") or []
+    except importlib.metadata.PackageNotFoundError:  # a clone that is not installed
+        return []
+    return [
+        re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
+        for requirement in requirements
+        if re.search(r"""extra\s*==\s*["']model["']""", requirement)
+    ]
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        importlib.metadata.distribution(package)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True

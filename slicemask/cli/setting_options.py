@@ -14,7 +14,7 @@ from slicematch.data import DATA_SETS, config_class
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.settings import documentation
 
-from slicemask.cli.options import Numbers
+from slicemask.cli.options import NumberList, Numbers
 
 
 def setting_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,7 +98,7 @@ def _option(
         kind = typing.get_args(kind)[0]
     text = text.replace("`", "")
     # What None stands for is the default of an option, and nothing that anyone types.
-    none = re.search(r"[;,] None for ([^.:]*)", text)
+    none = re.search(r"[;,] [Nn]one for ([^.:]*)", text)
     if none:
         text = text[: none.start()] + text[none.end() :]
     text += _default(setting, by_data, none[1] if none else None)
@@ -115,7 +115,7 @@ def _type(setting: Field[Any], kind: Any, form: str) -> Any:
     if typing.get_origin(kind) is tuple:
         number, *rest = typing.get_args(kind)
         if rest == [Ellipsis]:
-            return _Texts()
+            return NumberList("6,12,24") if number is float else _Texts()
         return Numbers(form[1 : form.index(")")].replace(" ", ""), number)
     if "none" in setting.metadata:
         return _OrNone(click.types.convert_type(kind), setting.metadata["none"])
@@ -126,6 +126,8 @@ def _default(setting: Field[Any], by_data: dict[str, Any], none: str | None) -> 
     """What the help says of a setting's default."""
     if setting.default is MISSING:
         return "  [required, here or in --config]"
+    if setting.default == ():
+        return "  [default: none]"
     if setting.default is not None:
         return f"  [default: {_shown(setting.default)}]"
     if "none" in setting.metadata:

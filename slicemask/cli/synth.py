@@ -11,22 +11,22 @@ from slicemask.cli.output import print_result, progress_bar
 
 @click.command()
 @click.option(
-    "--format", "kind", type=click.Choice(["vigor", "kitti"]), required=True, help="On disk."
+    "--format", "kind", type=click.Choice(["vigor", "kitti"]), required=True, help="Of the files."
 )
 @click.option("--out", metavar="DIR", required=True, help="Root of the data set.")
 @click.option("--cities", type=int, help="VIGOR: cities, 1 to 4.  [default: 1]")
-@click.option("--panoramas", type=int, help="VIGOR: panoramas a city.  [default: 400]")
+@click.option("--panoramas", type=int, help="VIGOR: panoramas per city.  [default: 400]")
 @click.option("--frames", type=int, help="KITTI: frames in all.  [default: 200]")
-@click.option("--seed", type=int, default=0, show_default=True, help="A seed is a city.")
-@click.option("--panorama-size", type=ImageSize(), help="VIGOR.  [default: 2048x1024]")
+@click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
+@click.option("--panorama-size", type=ImageSize(), help="VIGOR's panoramas.  [default: 2048x1024]")
 @click.option("--image-size", type=ImageSize(), help="KITTI's ground images.  [default: 1242x375]")
-@click.option("--tile-size", type=int, help="Pixels a side.  [default: 640, of KITTI 1280]")
+@click.option("--tile-size", type=int, help="Pixels a side.  [default: 640, for KITTI 1280]")
 @click.option("--jobs", type=int, help="Processes.  [default: all processors]")
 @as_json_option
 def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
-    """Generate a city with exact poses, in VIGOR's or KITTI's on-disk format.
+    """Generate a city with exact poses, on disk as VIGOR or KITTI.
 
-    Repeat a command that was cut short, and it goes on where it stopped.
+    An interrupted command continues where it stopped when it is repeated.
     """
     try:
         from slicemask.synth import generate_kitti, generate_vigor

@@ -64,7 +64,10 @@ def train(
 @cache_option
 @as_json_option
 def calibrate(run: str, as_json: bool, **options: Any) -> None:
-    """Fit what makes scores of RUN probabilities, on its validation part; training does so too."""
+    """Fit the temperature that makes scores of a RUN probabilities.
+
+    It is fitted on the validation part; training does so at its end.
+    """
     check_model_installed()
     from slicematch.evaluation.calibration import calibrate
 
@@ -75,4 +78,6 @@ def calibrate(run: str, as_json: bool, **options: Any) -> None:
         "samples, {nll_of_tau:.3f} with the loss's tau; for answers among {grid} by the "
         "{checkpoint} weights, others count as uncalibrated"
     )
+    if "caution" in content:
+        text += "\ncaution: {caution}"
     print_result(as_json, content, text.format(**content))

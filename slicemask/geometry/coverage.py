@@ -76,6 +76,7 @@ def sector_fractions(u: Array, v: Array, left_deg: Array, right_deg: Array, cell
     Takes and gives what `slicemask.geometry.rays.sector_fractions` does, for NumPy arrays:
     cameras u, v [B], edge azimuths left_deg < right_deg <= left_deg + 360 [B]; float64 [B, L, L].
     """
+    u, v = _without_subnormals(u), _without_subnormals(v)
     fractions = np.empty((len(u), cells * cells))
     for some in _batches(len(u), cells):
         batch = u[some], v[some], left_deg[some], right_deg[some]
@@ -96,6 +97,7 @@ def banded_fractions(
     [B, len(bands) + 1, L, L]. Depth planes are exact. A circle is a polygon whose segments are
     fine enough for a share to be wrong by less than 1e-6; each has the area of its arc.
     """
+    u, v = _without_subnormals(u), _without_subnormals(v)
     whole = sector_fractions(u, v, left_deg, right_deg, cells)
     fractions = np.zeros((len(u), len(bands) + 1, cells, cells))
     fractions[:, -1] = whole
@@ -120,6 +122,11 @@ def banded_fractions(
             fractions[some, band] += within
             fractions[some, band + 1] -= within
     return fractions
+
+
+def _without_subnormals(places: Array) -> Array:
+    """Places whose smallest values are 0: GEOS misplaces corners at subnormal coordinates."""
+    return np.where(np.abs(places) < np.finfo(np.float64).tiny, 0.0, places)
 
 
 def _batches(count: int, cells: int) -> Iterator[slice]:

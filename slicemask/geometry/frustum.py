@@ -80,6 +80,11 @@ class Frustum:
         """B, the bands of a slice: 1 where there are no ranges."""
         return len(self.bands) + 1
 
+    @property
+    def mask_axes(self) -> tuple[int, ...]:
+        """The axes of a pose's masks before those of the cells: (N,), or (N, B) with bands."""
+        return (self.slices, self.band_count) if self.bands else (self.slices,)
+
     def edge_offsets_deg(self) -> NDArray[np.float64]:
         """Azimuths of the slice edges from the heading, degrees clockwise, float64 [N + 1].
 

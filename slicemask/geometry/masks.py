@@ -25,7 +25,7 @@ def check_engine(engine: str) -> Engine:
 
 
 def check_cells(cells: int) -> int:
-    """Return the cells a side, L, or raise SpecError if it is no whole number in 1..8192."""
+    """Return the cells a side, L, or raise SpecError if it is not a whole number in 1..8192."""
     if not is_whole(cells) or not 1 <= cells <= 8192:
         raise SpecError(f"cells is {cells!r}; it must be a whole number from 1 to 8192")
     return int(cells)
@@ -72,15 +72,15 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
         that a circle between bands crosses, which is a polygon to the former. With "rays", poses
         may be any array of the Python array API standard, such as a torch tensor on any device:
         the masks are then of its kind and dtype (float32 or float64; computed in float64), with
-        gradients in u, v and heading_deg. Of an array there must be at least one pose; of other
-        arrays there may be none.
+        gradients in u, v and heading_deg. A NumPy array must hold at least one pose; other
+        arrays may hold none.
 
     Returns
     -------
     masks : float64 [K, N, L, L], or [K, N, B, L, L] where the frustum has bands
         The share of cell (row, column) that slice n (band b of it) of pose k covers, in [0, 1]; an
         all-zero mask where it misses the tile. The bands of a slice sum to the slice. Rounding
-        noise is no share: what is below 1e-10 is 0.
+        noise is removed: what is below 1e-10 is 0.
         NumPy results are 1 within 1e-10 of it, too; others may exceed 1 by some 1e-13 (float64).
 
     Raises
@@ -113,12 +113,7 @@ def slice_masks(poses: Any, frustum: Frustum, cells: int, engine: Engine = "shap
     )
     fractions[fractions < NEGLIGIBLE] = 0.0
     fractions[fractions > 1.0 - NEGLIGIBLE] = 1.0
-    return fractions.reshape(_shape(len(checked), frustum, cells))
-
-
-def _shape(poses: int, frustum: Frustum, cells: int) -> tuple[int, ...]:
-    bands = (frustum.band_count,) if frustum.bands else ()
-    return (poses, frustum.slices, *bands, cells, cells)
+    return fractions.reshape(len(checked), *frustum.mask_axes, cells, cells)
 
 
 def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
@@ -156,4 +151,5 @@ def _rays_of_any_array(poses: Any, frustum: Frustum, cells: int) -> Any:
         u, v, left, right, heading_deg, cells, widest_deg=widest_deg
     )
     fractions = xp.where(fractions < NEGLIGIBLE, xp.zeros_like(fractions), fractions)
-    return xp.astype(xp.reshape(fractions, _shape(poses.shape[0], frustum, cells)), dtype)
+    shape = (poses.shape[0], *frustum.mask_axes, cells, cells)
+    return xp.astype(xp.reshape(fractions, shape), dtype)

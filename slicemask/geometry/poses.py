@@ -284,7 +284,7 @@ def _read_npy(path: Path) -> tuple[NDArray[Any], Iterator[str]]:
     except OSError:
         raise
     except Exception as error:  # a damaged header makes NumPy's parsers raise all sorts
-        raise PoseError(f"{path}: is not a plain .npy array of numbers, or is cut short") from error
+        raise PoseError(f"{path}: is not a plain .npy array of numbers, or is truncated") from error
     return array, map("row {}".format, itertools.count())
 
 

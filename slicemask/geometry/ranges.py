@@ -28,6 +28,7 @@ _FAR = 4.0
 _RADIANS = math.pi / 180.0
 # Moves a share by less than 1e-12.
 _HAIR = 1e-15
+_PARALLEL = 1e-30
 
 
 def clip_between(values: Any, low: Any, high: Any, xp: ModuleType) -> Any:
@@ -39,7 +40,12 @@ def clip_between(values: Any, low: Any, high: Any, xp: ModuleType) -> Any:
 
 
 def kept_apart(low: Any, high: Any, xp: ModuleType) -> Any:
-    """``high``, a hair above ``low`` where they are equal, so that clamps have gradients there."""
+    """``high``, a hair above ``low`` where they are equal, so that clamps have gradients there.
+
+    NumPy has none, and keeps what is exact.
+    """
+    if xp is np:
+        return high
     return xp.maximum(high, low + _HAIR)
 
 
@@ -196,7 +202,7 @@ def cut_by_plane(
     factor = scale * range_ / 2
     rows = clip_between(row_at, start, stop, xp) * factor
     columns = clip_between(column_at, start, stop, xp) * factor
-    even = (wx >= 0.0) == (wy >= 0.0)
+    even = (wx > -_PARALLEL) == (wy > -_PARALLEL)
     outline = _outline(rows, columns, even, start * factor, stop * factor, xp)
     low, high = (
         xp.concat([row, column]) for row, column in zip(row_bounds, column_bounds, strict=True)
@@ -214,7 +220,8 @@ def _meet(
     and along them.
     """
     ahead = offset - range_ * h_across
-    parallel = w_across == 0.0
+    # Dividing by less would overflow.
+    parallel = xp.abs(w_across) < _PARALLEL
     t = ahead / xp.where(parallel, xp.ones_like(w_across), w_across)
     far = _FAR * xp.ones_like(ahead)
     # A line that runs along the depth line is within range or not as a whole. Where both are one,

@@ -99,50 +99,44 @@ def banded_fractions(
         As `sector_fractions` gives them, which is their sum over the bands.
     """
     xp = _namespace(u)
-    count, on_numpy = u.shape[0], xp is np
     whole = sector_fractions(u, v, left_deg, right_deg, cells, widest_deg)
-    if count and widest_deg is None:
+    if u.shape[0] == 0:
+        shape = (0, len(bands) + 1, cells, cells)
+        return xp.zeros(shape, dtype=u.dtype, device=array_api_compat.device(u))
+    if widest_deg is None:
         widest_deg = float(xp.max(right_deg - left_deg))
-    ends = [whole] * (len(bands) + 1)
-    fractions = np.zeros((count, len(ends), cells, cells)) if on_numpy else None
-    if fractions is not None:
-        fractions[:, -1] = whole
+    sectors = _Sectors(u, v, left_deg, right_deg, heading_deg)
+    if xp is np:
+        return _bands_in_place(sectors, whole, bands, widest_deg)
+    tile = _Window(0, 0, cells, cells)
+    ends = [
+        whole
+        if range_ >= BEYOND
+        else _fractions(replace(sectors, range=range_), tile, widest_deg, xp)
+        for range_ in bands
+    ]
+    ends.append(whole)
+    return xp.stack([ends[0]] + [far - near for near, far in pairwise(ends)], axis=1)
+
+
+def _bands_in_place(
+    sectors: "_Sectors", whole: Any, bands: tuple[float, ...], widest_deg: float
+) -> Any:
+    """`banded_fractions` of NumPy arrays: what a circle does not reach is left alone."""
+    count, cells = len(whole), whole.shape[-1]
+    fractions = np.zeros((count, len(bands) + 1, cells, cells))
+    fractions[:, -1] = whole
     for band, range_ in enumerate(bands):
-        if range_ >= BEYOND or not count:
-            if fractions is not None:
-                fractions[:, band] += whole
-                fractions[:, band + 1] -= whole
-            continue
-        sectors = _Sectors(u, v, left_deg, right_deg, heading_deg, range_)
-        if fractions is None or heading_deg is not None:
-            within = _fractions(sectors, _Window(0, 0, cells, cells), widest_deg, xp)
-            ends[band] = within
-            if fractions is not None:
-                fractions[:, band] += within
-                fractions[:, band + 1] -= within
-            continue
-        # Near bands reach a few cells: of the others nothing is computed.
-        size = window_cells(range_, cells)
-        row, column = (
-            np.clip(np.floor((at - range_) * cells), 0, cells - size).astype(np.int64)
-            for at in (v, u)
-        )
-        within = _fractions(sectors, _Window(row, column, size, cells), widest_deg, xp)
-        if size == cells:
-            fractions[:, band] += within
-            fractions[:, band + 1] -= within
-            continue
-        steps = np.arange(size)
-        at = (
-            np.arange(count)[:, None, None],
-            (row[:, None] + steps)[:, :, None],
-            (column[:, None] + steps)[:, None, :],
-        )
+        within, at = whole, ...
+        if range_ < BEYOND:
+            window = _Window(0, 0, cells, cells)
+            if sectors.heading_deg is None:
+                window = _Window.around(sectors.u, sectors.v, range_, cells)
+                at = window.indices(count)
+            within = _fractions(replace(sectors, range=range_), window, widest_deg, np)
         fractions[:, band][at] += within
         fractions[:, band + 1][at] -= within
-    if fractions is not None:
-        return fractions
-    return xp.stack([ends[0]] + [far - near for near, far in pairwise(ends)], axis=1)
+    return fractions
 
 
 def _namespace(array: Any) -> ModuleType:
@@ -178,6 +172,29 @@ class _Window:
     column: Any
     size: int
     cells: int
+
+    @classmethod
+    def around(cls, u: Any, v: Any, range_: float, cells: int) -> "_Window":
+        """The cells that circles of a radius around NumPy cameras can reach."""
+        size = window_cells(range_, cells)
+        if size == cells:
+            return cls(0, 0, cells, cells)
+        row, column = (
+            np.clip(np.floor((at - range_) * cells), 0, cells - size).astype(np.int64)
+            for at in (v, u)
+        )
+        return cls(row, column, size, cells)
+
+    def indices(self, count: int) -> Any:
+        """Index of these cells in an array [count, L, L]."""
+        if self.size == self.cells:
+            return ...
+        steps = np.arange(self.size)
+        return (
+            np.arange(count)[:, None, None],
+            (self.row[:, None] + steps)[:, :, None],
+            (self.column[:, None] + steps)[:, None, :],
+        )
 
     def lattices(self, u: Any, xp: ModuleType) -> tuple[Any, Any]:
         """Coordinates of the horizontal and of the vertical lines, [1 or B, size + 1]."""

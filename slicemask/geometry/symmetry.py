@@ -61,8 +61,12 @@ class Symmetry:
     def pose(self, pose: Array) -> Array:
         """Image of a pose: float64 [3] of u, v, heading_deg, the heading in [0, 360)."""
         p, q = self.places(pose[0] - 0.5, pose[1] - 0.5)
+        return np.array([p + 0.5, q + 0.5, self.azimuth(pose[2], 90.0) % 360.0])
+
+    def azimuth(self, azimuth: Any, quarter: Any) -> Any:
+        """Images of azimuths, in any unit of which ``quarter`` make 90 degrees; not wrapped."""
         sign, quarters = self.turn
-        return np.array([p + 0.5, q + 0.5, (sign * pose[2] + 90.0 * quarters) % 360.0])
+        return sign * azimuth + quarters * quarter
 
     def slices(self, left: Any, right: Any, quarter: Any) -> tuple[Any, Any]:
         """Images of slices' edge azimuths, in any unit of which ``quarter`` make 90 degrees.
@@ -70,10 +74,9 @@ class Symmetry:
         A mirroring swaps the edges, so that a slice still runs clockwise from left to right.
         The images are not wrapped to one turn.
         """
-        sign, quarters = self.turn
-        if sign < 0:
-            left, right = -right, -left
-        return left + quarters * quarter, right + quarters * quarter
+        if self.turn[0] < 0:
+            left, right = right, left
+        return self.azimuth(left, quarter), self.azimuth(right, quarter)
 
     def masks(self, masks: NDArray[Any]) -> NDArray[Any]:
         """Masks of the slices' images, a view: [..., L, L] with rows of v and columns of u."""

@@ -463,14 +463,19 @@ def test_a_list_of_a_grid_s_poses_gives_the_grid_s_masks(tmp_path, most):
 @contextlib.contextmanager
 def counted_sectors():
     """A list that grows by the number of sectors of each call of the rays engine."""
-    asked, real = [], rows_module.engine_fractions("rays")
+    asked, real = [], rows_module.engine_fractions
 
-    def count(u, *rest):
-        asked.append(len(u))
-        return real(u, *rest)
+    def counting(engine, frustum):
+        fractions = real(engine, frustum)
+
+        def count(u, *rest):
+            asked.append(len(u))
+            return fractions(u, *rest)
+
+        return count
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rows_module, "engine_fractions", lambda engine: count)
+        patch.setattr(rows_module, "engine_fractions", counting)
         yield asked
 
 

@@ -1,11 +1,14 @@
 """Equal slices and images, found by codes, against brute force over the masks themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slicemask import Frustum, PoseGrid, slice_masks
-from slicemask.geometry.distinct import distinct_loose, distinct_slices
+from slicemask.geometry.distinct import distinct_slices, distinct_unanchored
 from slicemask.geometry.masks import engine_fractions
+from slicemask.geometry.rays import sector_fractions
 from slicemask.geometry.symmetry import SYMMETRIES, azimuth_codes, offset_codes
 
 # Fine enough that distinct slices have distinct masks in the cases below. (In coarse cells they
@@ -13,31 +16,35 @@ from slicemask.geometry.symmetry import SYMMETRIES, azimuth_codes, offset_codes
 CELLS = 29
 
 
-def _expanded(images):
-    """Masks of `Images`, [S, L, L]."""
-    masks = np.zeros((len(images.u), CELLS, CELLS))
-    for r, (u, v, left, right) in enumerate(
-        zip(images.u, images.v, images.left_deg, images.right_deg, strict=True)
-    ):
-        if right - left == 360.0:
+def _expanded(orbit, frustum):
+    """Masks of a `SectorOrbit`, [rows, L, L]."""
+    masks = np.zeros((*orbit.in_tile.shape, CELLS, CELLS))
+    if orbit.in_tile.shape[1] == 1:
+        frustum = replace(frustum, bands=())
+    for r in range(len(orbit.u)):
+        names = ("u", "v", "left_deg", "right_deg", "heading_deg")
+        sector = [getattr(orbit, name)[r : r + 1] for name in names]
+        if sector[3] - sector[2] == 360.0 and not frustum.bands:
             masks[r] = 1.0
-        elif right > left:
-            sector = (np.array([value]) for value in (u, v, left, right))
-            masks[r] = engine_fractions("rays")(*sector, CELLS)[0]
-    pairs = zip(images.sector, images.symmetry, strict=True)
-    return np.array([SYMMETRIES[g].masks(masks[r]) for r, g in pairs]).reshape(-1, CELLS, CELLS)
+        elif sector[3] > sector[2]:
+            masks[r] = engine_fractions("rays", frustum)(*sector, CELLS)[0]
+    pairs = zip(orbit.sector, orbit.symmetry, strict=True)
+    rows = [SYMMETRIES[g].masks(masks[r])[orbit.in_tile[r]] for r, g in pairs]
+    return np.concatenate([np.empty((0, CELLS, CELLS)), *rows])
 
 
 def _reduced(poses, frustum):
     """(masks [K, N, L, L] by way of the distinct ones, rows, sectors computed)."""
     places, place = np.unique(poses[:, :2], axis=0, return_inverse=True)
     found = distinct_slices(places[:, 0], places[:, 1], place.ravel(), poses[:, 2], frustum)
-    images, row = distinct_loose(found.loose)
-    masks = np.concatenate([_expanded(found.wedges), _expanded(images)])
-    number = found.slice_of.copy()
+    orbit, row = distinct_unanchored(found.unanchored)
+    masks = np.concatenate([_expanded(found.anchored, frustum), _expanded(orbit, frustum)])
+    number = found.mask_of.copy()
     free = number < 0
-    number[free] = len(found.wedges.sector) + row[-1 - number[free]]
-    return masks[number], len(masks), len(found.wedges.u) + len(images.u)
+    number[free] = found.anchored.rows + row[-1 - number[free]]
+    used = np.unique(number)  # the empty mask of bands beyond the tile may not be
+    masks_of = masks[number].reshape(len(poses), *frustum.mask_axes, CELLS, CELLS)
+    return masks_of, len(used), len(found.anchored.u) + len(orbit.u)
 
 
 CASES = {
@@ -57,6 +64,46 @@ CASES = {
     "pinhole": (PoseGrid(4, 4, 16), Frustum(81.5, 3, "pinhole")),
     "extent off the centre": (PoseGrid(3, 4, 8, extent=(0.1, 0.2, 0.5, 0.9)), Frustum(360, 8)),
 }  # fmt: skip
+BANDED_CASES = {
+    "odd grid": (PoseGrid(5, 5, 8), Frustum(360, 4, bands=(0.13, 0.4))),
+    "a last band that few slices reach": (PoseGrid(4, 4, 8), Frustum(360, 8, bands=(0.2, 0.9))),
+    "bands that no slice reaches": (PoseGrid(3, 3, 8), Frustum(360, 4, bands=(0.2, 1.4, 1.6))),
+    "half-planes": (PoseGrid(3, 3, 8), Frustum(360, 2, bands=(0.3,))),
+    "whole circles": (PoseGrid(3, 3, 4), Frustum(360, 1, bands=(0.1, 0.6))),
+    "edges and corners": (
+        PoseGrid(4, 5, 12, places="endpoints"), Frustum(360, 6, bands=(0.15, 0.5)),
+    ),
+    "edges, whole circles": (
+        PoseGrid(3, 3, 4, places="endpoints"), Frustum(360, 1, bands=(0.15, 0.5)),
+    ),
+    "edges, wide slices that wrap around": (
+        PoseGrid(3, 3, 12, places="endpoints"), Frustum(330, 2, bands=(0.2,)),
+    ),
+    "edges, one slice": (
+        PoseGrid(4, 4, 12, places="endpoints"), Frustum(250, 1, bands=(0.3,)),
+    ),
+    # Off the centre, where no two cameras share the plane in front of which both see a corner.
+    "pinhole": (
+        PoseGrid(4, 4, 16, extent=(0.1, 0.2, 0.73, 0.91)),
+        Frustum(81.5, 3, "pinhole", (0.1, 0.35)),
+    ),
+    "pinhole with headings a slice apart": (
+        PoseGrid(3, 3, 24), Frustum(90, 2, "pinhole", (0.25,)),
+    ),
+    "pinhole on edges": (
+        PoseGrid(3, 3, 8, places="endpoints"), Frustum(90, 2, "pinhole", (0.25,)),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BANDED_CASES)
+def test_equal_bands_are_one_row_and_empty_ones_are_one(case):
+    grid, frustum = BANDED_CASES[case]
+    poses = grid.poses()
+    masks, rows, _ = _reduced(poses, frustum)
+    expected = slice_masks(poses, frustum, CELLS, "rays")
+    assert np.abs(masks - expected).max() <= 1e-9
+    assert rows == len(np.unique(np.round(expected.reshape(-1, CELLS**2), 8) + 0.0, axis=0))
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -111,10 +158,9 @@ def test_a_symmetry_permutes_the_masks_of_the_slices_it_moves(symmetry):
     u, v = rng.random((2, 20))
     left = rng.uniform(0, 360, 20)
     right = left + rng.uniform(1, 350, 20)
-    fractions = engine_fractions("rays")
     p, q = symmetry.places(u - 0.5, v - 0.5)
-    image = fractions(p + 0.5, q + 0.5, *symmetry.slices(left, right, 90.0), 7)
-    masks = fractions(u, v, left, right, 7)
+    image = sector_fractions(p + 0.5, q + 0.5, *symmetry.slices(left, right, 90.0), 7)
+    masks = sector_fractions(u, v, left, right, 7)
     assert np.abs(symmetry.masks(masks) - image).max() < 1e-12
     assert np.array_equal(symmetry.inverse.masks(symmetry.masks(masks)), masks)
 

@@ -102,6 +102,19 @@ def test_coarse_cells_are_means_of_fine_ones(pose, frustum, cells, factor):
     assert np.abs(pooled - slice_masks([pose], frustum, cells)[0]).max() <= 1e-9
 
 
+@pytest.mark.parametrize("tiny", [5e-324, 1e-323, 1e-310, 1e-300])
+@pytest.mark.parametrize("projection", ["pinhole", "equirectangular"])
+@pytest.mark.parametrize("bands", [(), (0.2,)])
+def test_places_next_to_zero_are_zero(tiny, projection, bands):
+    # A camera 1e-300 of the tile off its edge stands on it.
+    frustum = Frustum(1.0, 2, projection, bands=bands)
+    edge = np.array([[0.0, 0.5, 45], [0.5, 0.0, 135], [0.0, 0.0, 135], [0.0, 0.5, 135]])
+    beside = np.where(edge == 0.0, tiny, edge)
+    for engine in ("shapely", "rays"):
+        expected = slice_masks(edge, frustum, 4, engine)
+        assert np.abs(slice_masks(beside, frustum, 4, engine) - expected).max() <= 1e-12
+
+
 @settings(max_examples=200, deadline=None)
 @given(
     st.integers(1, 40), st.integers(1, 40), st.integers(1, 40),

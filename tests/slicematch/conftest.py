@@ -227,3 +227,72 @@ def write_kitti_tree(
     for name in ("test1_files.txt", "test2_files.txt"):
         (root / name).write_text("\n".join(lines) + "\n")
     return KittiTree(root, frames, tests, KITTI_HFOV_DEG)
+
+
+# A tiny run, trained for one epoch: its answers are poor, and as good as any to check.
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("banks")
+
+
+@pytest.fixture(scope="session")
+def vigor(make_vigor_tree, tmp_path_factory):
+    root = tmp_path_factory.mktemp("data") / "vigor"
+    return make_vigor_tree(root, 5, panorama_size=(64, 128), tile_pixels=80)
+
+
+@pytest.fixture(scope="session")
+def run(vigor, tmp_path_factory, cache):
+    """The folder of a run on a VIGOR tree."""
+    from slicematch.runs.config import TrainConfig
+    from slicematch.training.train import train
+
+    config = TrainConfig(
+        data="vigor",
+        root=str(vigor.root),
+        data_settings={"cities": ["Chicago"]},
+        encoder="test_convnext",
+        weights="none",
+        ground_size=(32, 64),
+        aerial_size=64,
+        slices=4,
+        train_grid="3x3x4",
+        test_grid="4x5x8",
+        epochs=1,
+        batch_size=2,
+        validation_fraction=0.0,
+        heat_map_every=0,
+        workers=0,
+        accelerator="cpu",
+    )
+    return train(config, tmp_path_factory.mktemp("runs") / "vigor", cache=cache, progress=False)
+
+
+@pytest.fixture(scope="session")
+def localizer(run, cache):
+    from slicematch.localization.localizer import Localizer
+
+    return Localizer.load(run, cache=cache, device="cpu")
+
+
+@pytest.fixture(scope="session")
+def images(vigor):
+    panorama, tile, *_ = vigor.labels["Chicago"][0]
+    city = vigor.root / "Chicago"
+    return city / "panorama" / panorama, city / "satellite" / tile
+
+
+@pytest.fixture
+def slicemask(run, cache):
+    """Run a command on the run's banks; give its result."""
+    from click.testing import CliRunner
+
+    from slicemask.cli.main import main
+
+    def invoke(command, *arguments):
+        arguments = [command, str(run), "--cache", str(cache), "--device", "cpu", *arguments]
+        return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+    return invoke

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from slicematch import _torchvision  # noqa: F401  before torchvision: see there
-from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, Triple
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 
 from torchvision.transforms.v2 import functional  # isort: skip
 

@@ -19,7 +19,7 @@ from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import normalise
 from slicematch.data.loading import raise_lack_of_resources
 from slicematch.data.source import DataConfig, Part
-from slicematch.evaluation.metrics import in_place_prior
+from slicematch.priors import in_place_prior
 
 log = logging.getLogger(__name__)
 Sample = dict[str, Any]
@@ -208,6 +208,34 @@ class PoseDataset(Dataset[Sample | None]):
         """The true pose of a sample, float64 [3] of u, v, heading_deg, without its images."""
         pose = self._source.pose(index, self._random(index))
         return self._symmetry(index).pose(pose) if self._augmented else pose
+
+    def use_headings(self, headings_deg: NDArray[np.float64]) -> None:
+        """Give the samples these headings in place of those that would be drawn.
+
+        Parameters
+        ----------
+        headings_deg : float64 [labels] or [n]
+            Degrees clockwise from north: one for each line of the part's label files, in their
+            order, or one for each sample.
+
+        Raises
+        ------
+        DatasetError
+            If there are more or fewer, or the data set's files hold the headings themselves.
+        """
+        source = self._source
+        if source.labels is None:
+            raise DatasetError(
+                "the headings of this data set stand in its own files; it takes no list of them"
+            )
+        if len(headings_deg) == source.label_count:
+            headings_deg = headings_deg[source.labels]
+        if len(headings_deg) != len(self):
+            raise DatasetError(
+                f"there are {len(headings_deg)} headings for {source.label_count} labels of the "
+                f"{self.part} part; expected one for each, in the order of the label files"
+            )
+        source.headings_deg = headings_deg
 
     def load(self, index: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Ground float32 [3, Hg, Wg] and aerial float32 [3, A, A] of a sample, normalised.

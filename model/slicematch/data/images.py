@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, Triple
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 
 
 def normalise(

@@ -15,6 +15,7 @@ from PIL import Image
 
 from slicemask.errors import ImageError
 from slicemask.images import check_aspect, read_aerial, read_image, resize
+from slicematch.data.elevations import crop_elevations
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.text import parse_number, read_lines
@@ -54,6 +55,7 @@ class KittiConfig(DataConfig):
 
     projection = "pinhole"
     ground_aspect = 1242 / 375
+    camera_height_m = 1.65
     prior_centre_deg = 90.0
     train_grid = "5x5x16"
     test_grid = "15x15x64"
@@ -190,6 +192,9 @@ class KittiSource(Source):
         ground_file = raw / "image_02" / "data" / frame
         ground = read_image(ground_file)
         check_aspect(ground, ground_file, self.config.ground_aspect, "a ground image")
+        ground = crop_elevations(
+            ground, self.config.elevations, self.config.projection, self.hfov_deg
+        )
         tile_file = self._root / "satmap" / drive / frame
         tile = read_aerial(tile_file)
         if tile.width < CROP_PIXELS:

@@ -11,14 +11,10 @@ from PIL import Image
 
 from slicemask.geometry.frustum import Projection
 from slicematch.data.errors import DatasetError
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 
 Part = Literal["train", "validation", "test"]
 Split = Literal["same-area", "cross-area"]
-Triple = tuple[float, float, float]
-
-# Of ImageNet's images, red, green and blue in [0, 1]: what most backbones were trained with.
-IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
-IMAGENET_STD: Triple = (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +32,9 @@ class DataConfig:
         ("aligned"), None (the default) an unknown one. From 0 to 180.
     ground_size : (height, width)
         Of the ground image as returned, in pixels.
+    elevations : (lowest, highest) or None
+        Which part of the ground images is used, in degrees above the horizon, which is at half
+        their height; None for all.
     aerial_size : int
         Side of the aerial image as returned, in pixels.
     image_mean, image_std : (red, green, blue)
@@ -66,6 +65,8 @@ class DataConfig:
         Horizontal field of view of all ground images; None if it is read from the data.
     ground_aspect : float
         Width over height of the ground images as they are.
+    camera_height_m : float
+        Of the cameras above the ground.
     prior_centre_deg : float
         The heading that a heading prior is centred on, degrees clockwise from north.
     train_grid, test_grid : str
@@ -75,6 +76,7 @@ class DataConfig:
     projection: ClassVar[Projection]
     hfov_deg: ClassVar[float | None] = None
     ground_aspect: ClassVar[float]
+    camera_height_m: ClassVar[float]
     prior_centre_deg: ClassVar[float]
     train_grid: ClassVar[str]
     test_grid: ClassVar[str]
@@ -83,6 +85,7 @@ class DataConfig:
     split: Split = "same-area"
     heading_half_width_deg: float | None = None
     ground_size: tuple[int, int]
+    elevations: tuple[float, float] | None = None
     aerial_size: int = 512
     image_mean: Triple = IMAGENET_MEAN
     image_std: Triple = IMAGENET_STD
@@ -107,6 +110,10 @@ class DataConfig:
             "ground_size": (
                 len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size),
                 "(height, width), two whole numbers of at least 1",
+            ),
+            "elevations": (
+                self.elevations is None or -90 <= self.elevations[0] < self.elevations[1] <= 90,
+                "(lowest, highest) from -90 to 90 degrees",
             ),
             "aerial_size": (
                 isinstance(self.aerial_size, int) and self.aerial_size > 0,
@@ -189,12 +196,20 @@ class Source(ABC):
         Horizontal field of view of the ground images.
     left_out : int
         Labels that give no sample because the camera stands off its tile.
+    headings_deg : float64 [n] or None
+        Headings to use, where the source would otherwise draw them.
+    labels : int [n] or None
+        Which label of its files, all counted in their order, each sample comes from; None where
+        headings are not drawn but stand in the files.
     """
 
     names: list[str]
     tile_metres: NDArray[np.float64]
     hfov_deg: float
     left_out: int = 0
+    headings_deg: NDArray[np.float64] | None = None
+    labels: NDArray[np.intp] | None = None
+    label_count: int = 0
 
     @abstractmethod
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask.images import read_aerial, resize
+from slicematch.data.elevations import crop_elevations
 from slicematch.data.errors import DatasetError
 from slicematch.data.panoramas import read_panorama, turn_panorama
 from slicematch.data.source import DataConfig, Part, Source
@@ -56,6 +57,7 @@ class VigorConfig(DataConfig):
     projection = "equirectangular"
     hfov_deg = 360.0
     ground_aspect = 2.0
+    camera_height_m = 2.5
     prior_centre_deg = 0.0
     train_grid = "7x7x16"
     test_grid = "21x21x64"
@@ -171,10 +173,11 @@ class VigorSource(Source):
     def __init__(self, config: VigorConfig, part: Part) -> None:
         self.config = config
         root = Path(config.root)
-        pairs, places, metres = [], [], []
+        pairs, places, metres, numbers = [], [], [], []
         for city in _cities(config, part):
             labels = read_labels(_label_file(config, part, city))
             for panorama, aerial, (d0, d1) in zip(*labels, strict=True):
+                self.label_count += 1
                 if max(abs(d0), abs(d1)) > TILE_PIXELS / 2:
                     self.left_out += 1
                     continue
@@ -182,6 +185,7 @@ class VigorSource(Source):
                 # d0 counts down (south), d1 counts left (west), both from the tile's centre.
                 places.append((0.5 - d1 / TILE_PIXELS, 0.5 + d0 / TILE_PIXELS))
                 metres.append(METRES_PER_PIXEL[city] * TILE_PIXELS)
+                numbers.append(self.label_count - 1)
         chosen = config.choose(part, len(pairs))
         self._files = [
             (root / city / "panorama" / panorama, root / city / "satellite" / aerial)
@@ -190,10 +194,11 @@ class VigorSource(Source):
         self.names = ["{}/{}".format(*pairs[k]) for k in chosen]
         self._places = np.array(places).reshape(-1, 2)[chosen]
         self.tile_metres = np.array(metres)[chosen]
+        self.labels = np.array(numbers, dtype=np.intp)[chosen]
 
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
         """The true pose of a sample; see `Source.pose`."""
-        return np.array([*self._places[index], self._heading_deg(random)])
+        return np.array([*self._places[index], self._heading_deg(index, random)])
 
     def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
         """The images of a sample; see `Source.images`."""
@@ -201,11 +206,16 @@ class VigorSource(Source):
         panorama = read_panorama(panorama_file)
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
-        turn_deg = self._heading_deg(random) - (panorama.heading_deg or 0.0)
-        ground = turn_panorama(panorama.image, turn_deg, self.config.ground_size)
+        turn_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
+        cropped = crop_elevations(
+            panorama.image, self.config.elevations, self.config.projection, self.hfov_deg
+        )
+        ground = turn_panorama(cropped, turn_deg, self.config.ground_size)
         return ground, resize(aerial, (self.config.aerial_size, self.config.aerial_size))
 
-    def _heading_deg(self, random: np.random.Generator) -> float:
+    def _heading_deg(self, index: int, random: np.random.Generator) -> float:
+        if self.headings_deg is not None:
+            return float(self.headings_deg[index])
         prior = self.config.heading_prior
         if prior is None:
             column = random.integers(PANORAMA_COLUMNS)

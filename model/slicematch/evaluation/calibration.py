@@ -1,29 +1,158 @@
-"""Fitting the temperature of a run's scores on its validation part."""
+"""Calibration: what probabilities are worth, and the temperature that makes scores probabilities.
+
+Temperature scaling: Guo, Pleiss, Sun, Weinberger, *On Calibration of Modern Neural Networks*, ICML
+2017, section 4.2.
+"""
 
 import json
+import math
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.data import Subset
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
 
 from slicemask.files import write_text
 from slicematch.data.dataset import BadSampleLog, collate
 from slicematch.data.loading import PoseLoader
 from slicematch.errors import ConfigError, RunError
-from slicematch.evaluation.evaluate import spread
 from slicematch.evaluation.metrics import nearest_candidates
+from slicematch.evaluation.samples import ChosenSamples, evenly_spaced_indices
 from slicematch.localization.localizer import Localizer
-from slicematch.localization.probabilities import fit_temperature, mean_nll
 from slicematch.runs.config import check_workers
 from slicematch.runs.folder import Checkpoint, RunFolder
 
+# Temperatures that are tried: from scores that settle everything to scores that settle nothing.
+_LEAST, _MOST = 1e-4, 10.0
 # Samples that a temperature is fitted to and scores of theirs that are kept (200 MB), at most.
 MOST_SAMPLES = 1000
 MOST_SCORES = 50_000_000
+# With fewer samples than this, a temperature is a guess.
+FEW_SAMPLES = 30
+
+
+def fit_temperature(scores: NDArray[np.float32], truths: NDArray[np.int64]) -> tuple[float, float]:
+    """The temperature under which the true candidates are likeliest.
+
+    Parameters
+    ----------
+    scores : float [n, K]
+        Of the candidates; -inf leaves one out.
+    truths : int [n]
+        The candidate nearest to each truth.
+
+    Returns
+    -------
+    temperature : float
+        In [1e-4, 10].
+    nll : float
+        The mean negative log-likelihood of the true candidates under it.
+
+    Raises
+    ------
+    ConfigError
+        If there is no sample, or a score is NaN or infinite, or that of a true candidate -inf.
+    """
+    if len(scores) == 0:
+        raise ConfigError("there are no samples to fit a temperature to; at least one is needed")
+    # A NaN outdoes any maximum.
+    if not (scores.max() < np.inf and scores[np.arange(len(truths)), truths].min() > -np.inf):
+        raise ConfigError(
+            "no temperature can be fitted: some scores are not finite numbers, as those of a run "
+            "that has diverged; train anew with a lower learning rate"
+        )
+    found = minimize_scalar(
+        lambda log_temperature: mean_nll(scores, truths, math.exp(log_temperature)),
+        bounds=(math.log(_LEAST), math.log(_MOST)),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    return float(math.exp(found.x)), float(found.fun)
+
+
+def mean_nll(scores: NDArray[np.float32], truths: NDArray[np.int64], temperature: float) -> float:
+    """Mean negative log-likelihood of true candidates under a temperature.
+
+    Parameters
+    ----------
+    scores : float [n, K]
+        Of the candidates; -inf leaves one out.
+    truths : int [n]
+        The candidate nearest to each truth.
+    temperature : float
+        Greater than 0.
+    """
+    return float(
+        np.mean(
+            [
+                -log_softmax(row.astype(np.float64) / temperature)[truth]
+                for row, truth in zip(scores, truths, strict=True)
+            ]
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What probabilities promised and what came true, of n estimates.
+
+    Parameters
+    ----------
+    probability : float64 [n]
+        That the camera is within reach of the estimate.
+    within_reach : bool [n]
+        Whether it is.
+    in_credible_region : bool [n]
+        Whether the true place's cell lies in the 95 % credible region: the fewest, likeliest
+        places that hold this much (`slicematch.localization.probabilities.credible_region`).
+    region_area : float64 [n]
+        How much of the tile that region takes, in [0, 1].
+    """
+
+    probability: NDArray[np.float64]
+    within_reach: NDArray[np.bool]
+    in_credible_region: NDArray[np.bool]
+    region_area: NDArray[np.float64]
+
+    def summary(self) -> dict[str, float]:
+        """The expected calibration error, and means of all."""
+        return {
+            "expected_error": calibration_error(self.probability, self.within_reach),
+            "mean_probability": float(self.probability.mean()),
+            "within_reach": float(self.within_reach.mean()),
+            "coverage": float(self.in_credible_region.mean()),
+            "region_area": float(self.region_area.mean()),
+        }
+
+
+def calibration_error(probabilities: ArrayLike, held: ArrayLike, bins: int = 10) -> float:
+    """Expected calibration error: how far probabilities lie from the shares that came true.
+
+    The mean over samples of | mean probability - share that held |, each taken over the samples
+    of one of ``bins`` equal bins of probability (Guo and others, ICML 2017, eq. 3).
+
+    Parameters
+    ----------
+    probabilities : float [n]
+        What was promised, in [0, 1].
+    held : bool [n]
+        What came true.
+
+    Examples
+    --------
+    >>> round(calibration_error([0.8, 0.8, 0.8, 0.8], [True, True, True, False]), 3)
+    0.05
+    """
+    promised, held = np.asarray(probabilities, float), np.asarray(held, float)
+    number = np.minimum((promised * bins).astype(int), bins - 1)
+    gaps = np.bincount(number, promised - held, bins)
+    return float(np.abs(gaps).sum() / len(promised))
 
 
 def calibrate(
@@ -51,14 +180,23 @@ def calibrate(
         Candidates such as "21x21x64"; the run's test grid by default.
     root : str, optional
         Where the data lie, if not where they lay in training.
-    checkpoint, device, workers, cache, progress
-        As in `slicematch.evaluation.evaluate.evaluate`.
+    checkpoint : {"best", "last"}
+        Which weights.
+    device : str
+        "auto", "cpu", "cuda" or "cuda:N".
+    workers : int, optional
+        Processes that load images; the run's own number by default.
+    cache : path, optional
+        The folder of banks.
+    progress : callable, optional
+        Called with (samples done, samples in all).
 
     Returns
     -------
     content : dict
         What was written: the temperature, the mean negative log-likelihood ("nll") of the true
-        candidates under it and under the loss's tau, and what it was fitted to.
+        candidates under it and under the loss's tau, and what it was fitted to; with fewer than
+        30 samples also a "caution".
 
     Raises
     ------
@@ -85,9 +223,9 @@ def calibrate(
     dataset = config.dataset("validation", root)
     candidates = localizer.within()
     most = min(MOST_SAMPLES, max(1, MOST_SCORES // len(candidates.poses)))
-    chosen = spread(len(dataset), most)
+    chosen = evenly_spaced_indices(len(dataset), most)
     loader = PoseLoader(
-        Subset(dataset, chosen),
+        ChosenSamples(dataset, chosen),
         config.batch_size,
         num_workers=workers,
         collate_fn=collate,
@@ -120,6 +258,11 @@ def calibrate(
         "grid": str(localizer.grid),
         "checkpoint": checkpoint,
     }
+    if read < FEW_SAMPLES:
+        content["caution"] = (
+            f"fitted to only {read} validation samples; probabilities are rough with fewer than "
+            f"{FEW_SAMPLES}: set more aside for validation in training"
+        )
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_text(folder.calibration_file, text, RunError)
     return content

@@ -1,17 +1,38 @@
 """Pictures of estimates and of errors, as matplotlib figures (`slicemask.plot.save_figure`)."""
 
+import math
+import textwrap
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.patheffects import withStroke
+from matplotlib.textpath import TextPath
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from slicemask import Frustum, PoseGrid
 from slicemask.plot import arrow_tip, edge_ends
-from slicematch.evaluation.metrics import Floor, PoseErrors
+from slicematch.evaluation.metrics import OracleError, PoseErrors
+from slicematch.localization.estimate import Estimate
+from slicematch.localization.modes import Mode
+from slicematch.localization.probabilities import CONFIDENCE, ellipse
 
-_ESTIMATE, _TRUTH = "#e6007e", "#00b050"
+_ESTIMATE, _TRUTH, _OTHER, _INK = "#e6007e", "#00b050", "#7ad7f0", "#17212b"
 _MARGIN = 0.04  # how far an arrow may reach out of the tile, whose side is 1
+# The layout, in inches: the tile's side, what is left beside it, and the bar of colours.
+_SIDE, _LEFT, _RIGHT, _BAR_GAP, _BAR_WIDTH = 5.4, 0.3, 1.2, 0.26, 0.16
+_LINE, _LEGEND, _BOTTOM = 0.21, 0.5, 0.22
+# Ground images higher than this share of their width are shown smaller.
+_MOST_HEIGHT = 0.8
+_MOST_COLUMNS = 100
+_MOST_OPAQUE = 0.75  # of the heat map, through which the photograph is to be seen
+# Other modes that are less likely are not drawn.
+_LEAST_PROBABILITY = 0.005
+_OUTLINE = [withStroke(linewidth=2.2, foreground="#00000090")]
 
 
 def draw_estimate(
@@ -23,6 +44,9 @@ def draw_estimate(
     truth: ArrayLike | None = None,
     ground: NDArray[np.uint8] | Image.Image | None = None,
     title: str = "",
+    estimate: Estimate | None = None,
+    tile_metres: float | None = None,
+    north_up: bool = True,
 ) -> Figure:
     """The heat map over the tile, with the estimated pose, its slices and the truth.
 
@@ -41,59 +65,106 @@ def draw_estimate(
     truth : float [3], optional
         The true pose.
     ground : uint8 [H, W, 3] or picture, optional
-        The ground image, shown below and cut into the slices; its centre column looks where the
-        arrows point.
+        The ground image, shown below, as wide as the tile, and cut into the slices; its centre
+        column looks where the arrows point.
     title : str
-        A line above the picture.
+        Lines above the picture; long ones are broken.
+    estimate : Estimate, optional
+        Adds score and probability, the ellipse that holds 95 % of the answer's probability, and
+        the other modes.
+    tile_metres : float, optional
+        Side of the tile on the ground: adds a scale bar.
+    north_up : bool
+        Whether the tile's top is north: adds an arrow to the north.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        Bound to no window.
     """
-    if ground is None:
-        figure = Figure(figsize=(6.4, 5.6), layout="constrained")
-        axes = figure.add_subplot()
-    else:
-        pixels = np.asarray(ground)
-        share = pixels.shape[0] / pixels.shape[1]
-        figure = Figure(figsize=(6.4, 5.6 + 5.6 * share), layout="constrained")
-        axes, below = figure.subplots(2, 1, height_ratios=(1, share))
-        _draw_ground(below, pixels, frustum.slices)
-    # In grey, so that all colour is the heat map's.
-    axes.imshow(np.asarray(aerial).mean(axis=2), cmap="gray", extent=(0, 1, 1, 0))
+    pose = np.asarray(pose, dtype=np.float64)
+    rest = title.splitlines()[1:]
+    if estimate is not None:
+        rest.append(_certainty(estimate, tile_metres, north_up))
+    first = title.splitlines()[:1]
+    styled = [(part, 11.0, "bold") for line in first for part in _broken(line, 11.0, "bold")]
+    styled += [(part, 9.0, "normal") for line in rest for part in _broken(line, 9.0, "normal")]
+    pixels = None if ground is None else np.asarray(ground)
+    below = 0.0
+    if pixels is not None:
+        below = 0.12 + _SIDE * min(pixels.shape[0] / pixels.shape[1], _MOST_HEIGHT)
+    top = 0.28 + _LINE * len(styled)
+    width, height = _LEFT + _SIDE + _RIGHT, top + _SIDE + _LEGEND + below + _BOTTOM
+    figure = Figure(figsize=(width, height), facecolor="white")
+
+    def place(left: float, bottom: float, wide: float, high: float) -> Axes:
+        return figure.add_axes((left / width, bottom / height, wide / width, high / height))
+
+    foot = _BOTTOM + below + _LEGEND
+    axes = place(_LEFT, foot, _SIDE, _SIDE)
+    axes.imshow(np.asarray(aerial), extent=(0, 1, 1, 0))
     seen = np.ma.masked_invalid(np.asarray(heat_map, dtype=np.float64))
-    colours = axes.imshow(
-        seen, extent=_edges(grid), cmap="viridis", alpha=0.5, interpolation="nearest"
+    colours = axes.imshow(seen, extent=_edges(grid), cmap=_heat(), interpolation="nearest")
+    bar = figure.colorbar(
+        colours, cax=place(_LEFT + _SIDE + _BAR_GAP, foot + 0.1 * _SIDE, _BAR_WIDTH, 0.8 * _SIDE)
     )
-    figure.colorbar(colours, ax=axes, label="score, best heading at each place", shrink=0.85)
-    _draw_slices(axes, np.asarray(pose, dtype=np.float64), frustum)
+    bar.set_label("score, best heading at each place", fontsize=9, color=_INK)
+    bar.ax.tick_params(labelsize=8)
+    _draw_slices(axes, pose, frustum)
+    if estimate is not None:
+        _draw_ellipse(axes, estimate)
+        _draw_modes(axes, estimate.modes[1:])
     if truth is not None:
         _draw_camera(axes, np.asarray(truth, dtype=np.float64), _TRUTH, "truth")
-    _draw_camera(axes, np.asarray(pose, dtype=np.float64), _ESTIMATE, "estimate")
+    _draw_camera(axes, pose, _ESTIMATE, "estimate")
+    # Beside the tile and below it, where they hide nothing.
+    if tile_metres is not None:
+        _draw_scale(axes, tile_metres)
+    if north_up:
+        _draw_north(axes)
     axes.set(xlim=(0, 1), ylim=(1, 0), xticks=[], yticks=[])
-    # Below, where it hides no arrow.
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 0), ncols=2, frameon=False, borderaxespad=0.2)
-    axes.set_title(title, fontsize="medium", wrap=True, pad=12)
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(
+        handles[::-1], labels[::-1],  # the estimate, which is drawn last, comes first
+        loc="upper left", bbox_to_anchor=(0, -0.052), ncols=4, frameon=False, fontsize=9,
+        borderaxespad=0.0, borderpad=0.0, handletextpad=0.3, columnspacing=0.9,
+    )  # fmt: skip
+    for number, (text, size, weight) in enumerate(styled):
+        figure.text(
+            _LEFT / width, 1.0 - (0.24 + _LINE * number) / height, text, parse_math=False,
+            fontsize=size, fontweight=weight, color=_INK, va="center",
+        )  # fmt: skip
+    if pixels is not None:
+        _draw_ground(place(_LEFT, _BOTTOM, _SIDE, below - 0.12), pixels, frustum.slices)
     return figure
 
 
-def draw_errors(errors: PoseErrors, floor: Floor) -> Figure:
+def draw_errors(errors: PoseErrors, oracle: OracleError) -> Figure:
     """Curves of the share of samples below each error, with what the candidates alone cost.
 
     Parameters
     ----------
     errors : PoseErrors
         Of n samples.
-    floor : Floor
+    oracle : OracleError
         Of the same samples.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        Bound to no window.
     """
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     curves = (
         (panels[0], "metres", (("place", errors.place_m), ("lateral", errors.lateral_m),
-                               ("longitudinal", errors.longitudinal_m)), floor.place_m),
-        (panels[1], "degrees", (("heading", errors.heading_deg),), floor.heading_deg),
+                               ("longitudinal", errors.longitudinal_m)), oracle.place_m),
+        (panels[1], "degrees", (("heading", errors.heading_deg),), oracle.heading_deg),
     )  # fmt: skip
     for axes, unit, named, least in curves:
         for name, values in named:
             _draw_curve(axes, values, label=name)
-        _draw_curve(axes, least, label="floor of the grid", color="grey", linestyle="--")
+        _draw_curve(axes, least, label="oracle among the candidates", color="grey", linestyle="--")
         axes.set(xlabel=f"error, {unit}", xlim=(0, None), ylim=(0, 1))
         axes.grid(alpha=0.3)
         axes.legend(loc="lower right")
@@ -101,7 +172,43 @@ def draw_errors(errors: PoseErrors, floor: Floor) -> Figure:
     return figure
 
 
-def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: str) -> None:
+def _certainty(estimate: Estimate, tile_metres: float | None, north_up: bool) -> str:
+    """Score and probability of the answer, and how far it may be off."""
+    text = f"score {estimate.score:.3f}, probability {estimate.modes[0].probability:.1%}"
+    east, north, heading = np.sqrt(estimate.covariance().diagonal()).tolist()
+    if tile_metres is not None:
+        across, along = ("east", "north") if north_up else ("right", "up")
+        text += (
+            f", deviation {east * tile_metres:.1f} m {across}, {north * tile_metres:.1f} m {along}"
+        )
+        text += f", {heading:.1f}°"
+    return text
+
+
+def _broken(line: str, size: float, weight: str) -> list[str]:
+    """A line of text broken so that each part fits above the tile and the bar of colours."""
+    font = FontProperties(size=size, weight=weight)
+    room = 72.0 * (_SIDE + _RIGHT - 0.3)
+    for columns in range(_MOST_COLUMNS, 0, -4):
+        parts = textwrap.wrap(line, columns)
+        # A dollar sign would begin a formula.
+        widths = [TextPath((0, 0), part.replace("$", "S"), prop=font) for part in parts]
+        if all(path.get_extents().x1 <= room for path in widths):
+            break
+    return parts
+
+
+def _heat() -> Colormap:
+    """Colours that let the photograph through where the score is low."""
+    from matplotlib import colormaps
+
+    colours = colormaps["plasma"](np.linspace(0.0, 1.0, 256))
+    # The square, so that only the best places cover what they stand for.
+    colours[:, 3] = _MOST_OPAQUE * np.linspace(0.0, 1.0, 256) ** 2
+    return ListedColormap(colours)
+
+
+def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: Any) -> None:
     ordered = np.concatenate([[0.0], np.sort(values)])
     axes.step(ordered, np.arange(len(ordered)) / len(values), where="post", **style)
 
@@ -110,6 +217,7 @@ def _draw_ground(axes: Axes, ground: NDArray[np.uint8], slices: int) -> None:
     """The ground image between the slices' edges, with its centre column marked."""
     height, width = ground.shape[:2]
     axes.imshow(ground)
+    axes.set_anchor("W")
     for edge in np.arange(1, slices) * width / slices - 0.5:
         axes.axvline(edge, color="white", linewidth=0.8, alpha=0.8)
     axes.plot(width / 2 - 0.5, height - 1, "^", color=_ESTIMATE, markeredgecolor="white",
@@ -119,24 +227,83 @@ def _draw_ground(axes: Axes, ground: NDArray[np.uint8], slices: int) -> None:
 
 def _draw_slices(axes: Axes, pose: NDArray[np.float64], frustum: Frustum) -> None:
     """The slices' edges, from the camera to the edge of the tile."""
+    if frustum.slices == 1 and frustum.hfov_deg == 360.0:
+        return  # one slice all around has no edge to show
     for u, v in edge_ends(pose, frustum.edges_deg(pose[2])):
-        axes.plot([pose[0], u], [pose[1], v], color="white", linewidth=0.8, alpha=0.8)
+        if math.hypot(u - pose[0], v - pose[1]) > 1e-6:  # or it leaves the tile at once
+            axes.plot(
+                [pose[0], u], [pose[1], v], color="white", linewidth=0.9, alpha=0.85,
+                path_effects=[withStroke(linewidth=1.8, foreground="#00000060")],
+            )  # fmt: skip
 
 
-def _draw_camera(axes: Axes, pose: NDArray[np.float64], colour: str, label: str) -> None:
+def _draw_ellipse(axes: Axes, estimate: Estimate) -> None:
+    """The ellipse around the answer's place that holds the confidence, cut at the tile's edge."""
+    major, minor, azimuth_deg = ellipse(estimate.covariance()[:2, :2])
+    angle, azimuth = np.linspace(0.0, 2.0 * np.pi, 181), math.radians(azimuth_deg)
+    along, across = major * np.cos(angle), minor * np.sin(angle)
+    u = estimate.pose[0] + along * math.sin(azimuth) + across * math.cos(azimuth)
+    v = estimate.pose[1] - along * math.cos(azimuth) + across * math.sin(azimuth)
+    axes.plot(
+        u, v, color=_ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)),
+        label=f"{CONFIDENCE:.0%} ellipse",
+    )  # fmt: skip
+
+
+def _draw_modes(axes: Axes, modes: tuple[Mode, ...]) -> None:
+    """The other modes, each with its probability where there is room for it."""
+    written: list[NDArray[np.float64]] = []
+    label: str | None = "other modes"
+    for mode in modes:
+        if mode.probability < _LEAST_PROBABILITY:
+            continue
+        _draw_camera(axes, mode.pose, _OTHER, label, small=True)
+        label = None
+        place = mode.pose[:2]
+        if all(np.abs(place - other).max() > 0.06 for other in written):
+            axes.annotate(
+                f"{mode.probability:.0%}", (place[0], place[1]), (6, 5), textcoords="offset points",
+                fontsize=8, color="white", path_effects=_OUTLINE,
+            )  # fmt: skip
+            written.append(place)
+
+
+def _draw_camera(
+    axes: Axes, pose: NDArray[np.float64], colour: str, label: str | None, small: bool = False
+) -> None:
     u, v, _ = pose
+    tip = arrow_tip(pose, _MARGIN)
     axes.annotate(
         "",
-        xy=arrow_tip(pose, _MARGIN),
+        xy=(tip[0], tip[1]),
         xytext=(u, v),
         annotation_clip=False,
         arrowprops={
-            "arrowstyle": "-|>", "color": colour, "linewidth": 2.2, "shrinkA": 0, "shrinkB": 0
+            "arrowstyle": "-|>", "color": colour, "linewidth": 1.2 if small else 2.2,
+            "shrinkA": 0, "shrinkB": 0,
         },
     )  # fmt: skip
-    axes.plot(
-        u, v, "o", color=colour, markeredgecolor="white", markersize=8, label=label, clip_on=False
-    )
+    style: dict[str, Any] = {"markersize": 5 if small else 8, "clip_on": False}
+    axes.plot(u, v, "o", color=colour, markeredgecolor="white", label=label, **style)
+
+
+def _draw_scale(axes: Axes, tile_metres: float) -> None:
+    """A bar of a round length, at most a sixth of the tile, beside the legend."""
+    power = 10.0 ** math.floor(math.log10(tile_metres / 6.0))
+    length = max(step * power for step in (1, 2, 5) if step * power <= tile_metres / 6.0)
+    u0, v = 1.0 - length / tile_metres, 1.072
+    axes.plot([u0, 1.0], [v, v], color=_INK, linewidth=2, solid_capstyle="butt", clip_on=False)
+    axes.text(u0 - 0.012, v, f"{length:g} m", color=_INK, ha="right", va="center", fontsize=9)
+
+
+def _draw_north(axes: Axes) -> None:
+    """An arrow to the north, above the bar of colours."""
+    u = 1.0 + (_BAR_GAP + _BAR_WIDTH / 2.0) / _SIDE
+    axes.annotate(
+        "N", xy=(u, 0.0), xytext=(u, 0.075), ha="center", va="center", fontsize=9,
+        fontweight="bold", color=_INK, annotation_clip=False,
+        arrowprops={"arrowstyle": "-|>", "color": _INK, "linewidth": 1.4, "shrinkA": 1},
+    )  # fmt: skip
 
 
 def _edges(grid: PoseGrid) -> tuple[float, float, float, float]:

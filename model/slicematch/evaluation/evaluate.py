@@ -1,11 +1,9 @@
-"""Errors of a trained run on a part of its data set, as numbers, tables and pictures."""
+"""Evaluating a trained run on a part of its data set."""
 
-import csv
-import io
-import json
+import math
 import tempfile
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,129 +12,30 @@ import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Subset
 
-from slicemask.files import check_folder, write_text
-from slicemask.plot import save_figure
+from slicemask.files import check_folder
+from slicematch.angles import angle_difference_deg
 from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
 from slicematch.data.images import denormalise
 from slicematch.data.loading import PoseLoader
-from slicematch.devices import Precision, precision_note
 from slicematch.errors import ConfigError, RunError
+from slicematch.evaluation.calibration import Calibration
 from slicematch.evaluation.drawing import draw_errors, draw_estimate
-from slicematch.evaluation.metrics import Floor, PoseErrors, candidate_floor, pose_errors
-from slicematch.localization.localizer import Estimate, Localizer
-from slicematch.localization.probabilities import Calibration, region
-from slicematch.localization.refinement import DEFAULT, Refine, near
-from slicematch.runs.config import check_workers
+from slicematch.evaluation.headings import HeadingUnit, read_headings
+from slicematch.evaluation.metrics import RECALLS, oracle_error, pose_errors
+from slicematch.evaluation.report import Evaluation, write_results
+from slicematch.evaluation.samples import ChosenSamples, evenly_spaced_indices
+from slicematch.localization.estimate import Estimate
+from slicematch.localization.localizer import Localizer
+from slicematch.localization.modes import REACH, REACH_DEG, within_reach
+from slicematch.localization.probabilities import credible_region
+from slicematch.localization.refinement import DEFAULT, Refine
+from slicematch.localization.tiles import trained_window
+from slicematch.precision import Precision
+from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Results of one run on n samples.
-
-    Attributes
-    ----------
-    settings : dict
-        What was evaluated: run, checkpoint, data, split, part, grid, priors.
-    names : list of str
-        Of the samples.
-    truths, estimates : float64 [n, 3]
-        u, v, heading_deg. The true headings are the ones that the data set drew from its seed.
-    scores : float64 [n]
-        Of the estimates.
-    tile_metres : float64 [n]
-        Side of each tile on the ground.
-    errors : PoseErrors
-        Of the estimates.
-    floor : Floor
-        What the candidates alone cost on these samples, unrefined.
-    calibration : Calibration
-        What the estimates' probabilities are worth.
-    outside : int
-        True places outside the grid's extent, where no candidate can find them.
-    unreadable : dict
-        Samples that could not be read, with what is wrong.
-    """
-
-    settings: dict[str, Any]
-    names: list[str]
-    truths: NDArray[np.float64]
-    estimates: NDArray[np.float64]
-    scores: NDArray[np.float64]
-    tile_metres: NDArray[np.float64]
-    errors: PoseErrors
-    floor: Floor
-    calibration: Calibration
-    outside: int
-    unreadable: dict[str, str]
-
-    def summary(self) -> dict[str, Any]:
-        """Settings and figures, without the samples."""
-        return {
-            **self.settings,
-            "samples": len(self.names),
-            "unreadable": self.unreadable,
-            "labels_outside_the_grid": self.outside,
-            "errors": self.errors.summary(),
-            "floor": self.floor.summary(),
-            "calibration": self.calibration.summary(),
-        }
-
-    def report(self) -> str:
-        """The figures as a few lines of text."""
-        errors, floor = self.errors.summary(), self.floor.summary()
-        lines = [
-            f"{len(self.names):,} samples of {self.settings['data']} {self.settings['split']} "
-            f"{self.settings['part']}, candidates {self.settings['grid']}, "
-            f"refine {self.settings['refine']}{precision_note(self.settings['precision'])}",
-            "           mean      median    floor of the grid (mean, median)",
-        ]
-        for kind, unit in (("place", "m"), ("heading", "deg")):
-            mean, median = (f"{kind}_{figure}_{unit}" for figure in ("mean", "median"))
-            lines.append(
-                f"{kind:<9}{errors[mean]:7.2f} {unit:<3}{errors[median]:7.2f} {unit:<3} "
-                f"{floor[mean]:6.2f} {unit}, {floor[median]:.2f} {unit}"
-            )
-        lines.append("recall     at 1      at 5")
-        for kind, unit in (("lateral", "m"), ("longitudinal", "m"), ("heading", "deg")):
-            one, five = (errors[f"{kind}_recall_{threshold}{unit}"] for threshold in (1, 5))
-            lines.append(f"{kind:<13}{one:6.1%}{five:10.1%}   ({unit})")
-        sure = self.calibration.summary()
-        source = "fitted" if self.settings["calibrated"] else "not fitted to these candidates"
-        lines += [
-            f"probabilities at temperature {self.settings['temperature']:.4g} ({source})",
-            f"calibration error {sure['expected_error']:.3f}: {sure['mean_probability']:.1%} "
-            f"promised on average, {sure['share_near']:.1%} found within reach",
-            f"95 % region {sure['region_share']:.1%} of the tile on average; it holds "
-            f"{sure['share_in_region']:.1%} of the true places",
-        ]
-        if self.outside:
-            lines.append(f"{self.outside:,} true places lie outside the grid's extent")
-        if self.unreadable:
-            lines.append(f"{len(self.unreadable)} samples could not be read")
-        return "\n".join(lines)
-
-    def rows(self) -> list[dict[str, Any]]:
-        """One row a sample: name, truth, estimate, score and errors."""
-        errors = asdict(self.errors)
-        return [
-            {
-                "name": name,
-                **_named("true_", self.truths[n]),
-                **_named("", self.estimates[n]),
-                "score": float(self.scores[n]),
-                "probability": float(self.calibration.probability[n]),
-                "near": bool(self.calibration.near[n]),
-                "in_region": bool(self.calibration.in_region[n]),
-                "tile_metres": float(self.tile_metres[n]),
-                **{f"error_{kind}": float(values[n]) for kind, values in errors.items()},
-            }
-            for n, name in enumerate(self.names)
-        ]
 
 
 def evaluate(
@@ -148,6 +47,10 @@ def evaluate(
     part: str = "test",
     root: str | None = None,
     limit: int | None = None,
+    heading_half_width_deg: float | None = None,
+    headings: str | Path | None = None,
+    headings_unit: HeadingUnit = "degrees",
+    recalls: Sequence[float] = RECALLS,
     checkpoint: Checkpoint = "best",
     out: str | Path | None = None,
     overwrite: bool = False,
@@ -175,7 +78,18 @@ def evaluate(
     root : str, optional
         Where the data lie, if not where they lay in training.
     limit : int, optional
-        Only so many samples, spread evenly over the part.
+        Only so many samples, evenly spaced over the part.
+    heading_half_width_deg : float, optional
+        How far headings lie from the data set's own, in degrees to either side: 0 for known
+        headings, 180 for any. By default the run's own. Where the data set draws its test
+        headings, it draws them from this range, too.
+    headings : path, optional
+        A list of true headings, instead of those drawn: see
+        `slicematch.evaluation.headings.read_headings`.
+    headings_unit : {"degrees", "radians", "turns"}
+        Of that list.
+    recalls : sequence of float
+        Metres and degrees below which recalls count.
     checkpoint : {"best", "last"}
         Which weights.
     out : path, optional
@@ -184,7 +98,7 @@ def evaluate(
     overwrite : bool
         Replace results that are there.
     device : str
-        As for `choose_device`.
+        "auto", "cpu", "cuda" or "cuda:N".
     workers : int, optional
         Processes that load images; the run's own number by default.
     cache : path, optional
@@ -192,7 +106,7 @@ def evaluate(
     refine : {"none", "mean", "fine", "continuous"}
         How estimates are refined (`slicematch.localization.refinement`).
     precision : {"32-true", "16-mixed", "bf16-mixed"}
-        In which the encoders compute, as for `Localizer.load`.
+        In which the encoders compute.
     progress : callable, optional
         Called with (samples done, samples in all).
 
@@ -202,7 +116,8 @@ def evaluate(
         The results.
     folder : Path
         With ``result.json`` (everything), ``samples.csv``, ``errors.png`` and ``best.png``,
-        ``median.png`` and ``worst.png`` (by distance from the true place).
+        ``median.png`` and ``worst.png`` (by place and heading together: a tenth of the tile's side
+        counts as much as 30 degrees).
 
     Raises
     ------
@@ -213,8 +128,10 @@ def evaluate(
     """
     if limit is not None and limit < 1:
         raise ConfigError(f"limit is {limit}; it must be at least 1")
+    recalls = _check_recalls(recalls)
     if workers is not None:
         check_workers(workers)
+    headings_deg = None if headings is None else read_headings(headings, headings_unit)
     localizer = Localizer.load(
         run,
         bank,
@@ -225,24 +142,32 @@ def evaluate(
         refine=refine,
         precision=precision,
     )
+    if heading_half_width_deg is not None:
+        _use_heading_prior(localizer, heading_half_width_deg)
     config = localizer.config
     split = split or config.split
     dataset = config.dataset(part, root, split)
-    name = f"{split}_{part}_{localizer.grid}_{checkpoint}"
+    if headings_deg is not None:
+        dataset.use_headings(headings_deg)
+    name = [split, part, str(localizer.grid), checkpoint]
     if refine != "none":
-        name += f"_{refine}"
+        name.append(refine)
     if precision != "32-true":
-        name += f"_{precision}"
+        name.append(precision)
+    if heading_half_width_deg is not None:
+        name.append(f"prior{heading_half_width_deg:g}")
+    if headings is not None:
+        name.append(Path(headings).stem)
     if limit is not None:
-        name += f"_{limit}"
-    chosen = Subset(dataset, spread(len(dataset), limit))
-    folder = Path(out) if out is not None else Path(run) / "evaluation" / name
+        name.append(str(limit))
+    folder = Path(out) if out is not None else Path(run) / "evaluation" / "_".join(name)
     if (folder / "result.json").exists() and not overwrite:
         raise RunError(
             f"{folder}: holds results already; replace them with --overwrite, or name another "
             "folder with --out"
         )
     check_folder(folder, RunError)
+    _check_tiles(dataset, localizer)
     settings = {
         "run": str(run),
         "checkpoint": checkpoint,
@@ -254,6 +179,7 @@ def evaluate(
         "places": localizer.grid.places,
         "heading_prior": config.heading_prior(),
         "place_prior": config.place_prior,
+        "headings": None if headings is None else str(headings),
         "seed": config.seed,
         "labels_left_out": dataset.left_out,
         "refine": refine,
@@ -261,26 +187,48 @@ def evaluate(
         "temperature": localizer.temperature,
         "calibrated": localizer.calibrated,
     }
+    chosen = evenly_spaced_indices(len(dataset), limit)
     workers = config.workers if workers is None else workers
     with tempfile.TemporaryDirectory() as scratch:
         # Those met in worker processes too; `_measure` sees to the limit.
         dataset.bad_sample_log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(dataset))
-        evaluation = _measure(settings, localizer, chosen, workers, progress)
+        evaluation = _measure(settings, localizer, dataset, chosen, recalls, workers, progress)
         figures = _draw(evaluation, localizer, dataset)
-    _write(evaluation, figures, folder)
+    write_results(evaluation, figures, folder)
     return evaluation, folder
 
 
-def spread(count: int, limit: int | None) -> list[int]:
-    """At most `limit` of the numbers 0 to count - 1, spread evenly."""
-    some = count if limit is None else min(limit, count)
-    return np.linspace(0, count - 1, some).round().astype(int).tolist()
+def _check_recalls(recalls: Sequence[float]) -> tuple[float, ...]:
+    values = tuple(float(value) for value in recalls)
+    if not values or not all(0 < value < math.inf for value in values):
+        raise ConfigError(
+            f"recalls are {','.join(f'{value:g}' for value in values)!r}; they must be distances "
+            "in metres and degrees above 0, such as 1,3,5"
+        )
+    return values
+
+
+def _use_heading_prior(localizer: Localizer, half_width_deg: float) -> None:
+    """Give a localizer another heading prior than its run's, around the same centre."""
+    config: TrainConfig = replace(localizer.config, heading_half_width_deg=half_width_deg)
+    # A temperature was fitted to scores under the run's own priors.
+    localizer.calibrated &= config.heading_prior() == localizer.config.heading_prior()
+    localizer.config = config
+
+
+def _check_tiles(dataset: PoseDataset, localizer: Localizer) -> None:
+    """Hold the tiles' size on the ground against that in training."""
+    size = dataset.aerial_size
+    for metres in {float(dataset.tile_metres.min()), float(dataset.tile_metres.max())}:
+        trained_window(size, metres / size, localizer.tile_side_m, crop=False)
 
 
 def _measure(
     settings: dict[str, Any],
     localizer: Localizer,
-    chosen: Subset,
+    dataset: PoseDataset,
+    chosen: list[int],
+    recalls: tuple[float, ...],
     workers: int,
     progress: Progress | None,
 ) -> Evaluation:
@@ -289,125 +237,132 @@ def _measure(
     Raises
     ------
     RunError
-        If none can be read, or more cannot than the run's settings bear.
+        If none is readable, or more are unreadable than the run's settings allow.
     """
-    dataset = chosen.dataset
+    log, config = dataset.bad_sample_log, localizer.config
+    assert log is not None
     loader = PoseLoader(
-        chosen, localizer.config.batch_size, num_workers=workers, collate_fn=collate
+        ChosenSamples(dataset, chosen),
+        config.batch_size,
+        num_workers=workers,
+        collate_fn=collate,
     )
     read: list[int] = []
-    estimates: list[_Kept] = []
+    answers: list[_Answer] = []
     for number, batch in enumerate(loader, start=1):
         if batch is not None:
             read += batch["index"].tolist()
-            truths = batch["pose"].numpy()
             metres = dataset.tile_metres[batch["index"].numpy()]
             found = _estimates(localizer, batch["ground"], batch["aerial"], metres)
-            estimates += map(_keep, found, truths)
+            answers += map(_answer, found, batch["pose"].numpy())
         if progress is not None:
-            progress(min(number * localizer.config.batch_size, len(chosen)), len(chosen))
-        unreadable = dataset.bad_sample_log.entries()
-        if len(unreadable) > localizer.config.max_bad_samples:
+            progress(min(number * config.batch_size, len(chosen)), len(chosen))
+        faults = log.entries()
+        if len(faults) > config.max_bad_samples:
             raise RunError(
-                f"more than {localizer.config.max_bad_samples} samples are unreadable; mend them, "
-                f"or name the data's root; first: {next(iter(unreadable.values()))}"
+                f"more than {config.max_bad_samples} samples are unreadable; mend them, or name "
+                f"the data's root; first: {next(iter(faults.values()))}"
             )
     if not read:
         raise RunError(
-            f"none of the {len(chosen)} samples can be read; mend them, or name the data's root; "
-            f"first: {next(iter(unreadable.values()))}"
+            f"none of the {len(chosen)} samples is readable; mend them, or name the data's root; "
+            f"first: {next(iter(faults.values()))}"
         )
-    poses = np.array([kept.pose for kept in estimates])
+    estimates = np.array([answer.pose for answer in answers])
     truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
+    settings["headings_outside_the_prior"] = _count_beyond(truths, config.heading_prior())
     return Evaluation(
         settings=settings,
+        indices=read,
         names=[dataset.names[index] for index in read],
         truths=truths,
-        estimates=poses,
-        scores=np.array([kept.score for kept in estimates]),
+        estimates=estimates,
+        scores=np.array([answer.score for answer in answers]),
         tile_metres=tile_metres,
-        errors=pose_errors(poses, truths, tile_metres),
-        floor=candidate_floor(localizer.within().poses, truths, tile_metres),
+        errors=pose_errors(estimates, truths, tile_metres),
+        oracle=oracle_error(localizer.within().poses, truths, tile_metres),
         calibration=Calibration(
-            probability=np.array([kept.probability for kept in estimates]),
-            near=np.array([kept.near for kept in estimates]),
-            in_region=np.array([kept.in_region for kept in estimates]),
-            region_share=np.array([kept.region_share for kept in estimates]),
+            probability=np.array([answer.probability for answer in answers]),
+            within_reach=np.array([answer.within_reach for answer in answers]),
+            in_credible_region=np.array([answer.in_credible_region for answer in answers]),
+            region_area=np.array([answer.region_area for answer in answers]),
         ),
         outside=dataset.count_outside(localizer.grid.extent, read),
-        unreadable=unreadable,
+        unreadable=[
+            {"index": index, "name": name, "error": faults.get(name, "is unreadable")}
+            for index in sorted({*chosen} - {*read})
+            for name in [dataset.names[index]]
+        ],
+        recalls=recalls,
     )
 
 
-class _Kept(NamedTuple):
+def _count_beyond(truths: NDArray[np.float64], prior: tuple[float, float] | None) -> int:
+    """How many true headings no candidate can find, because of the prior on headings."""
+    if prior is None:
+        return 0
+    away = np.abs(angle_difference_deg(truths[:, 2], prior[0]))
+    return int(np.count_nonzero(away > prior[1] + 1e-9))
+
+
+class _Answer(NamedTuple):
     """What is kept of an estimate: not its scores, which are many."""
 
     pose: NDArray[np.float64]
     score: float
     probability: float
-    near: bool
-    in_region: bool
-    region_share: float
+    within_reach: bool
+    in_credible_region: bool
+    region_area: float
 
 
-def _keep(estimate: Estimate, truth: NDArray[np.float64]) -> _Kept:
+def _answer(estimate: Estimate, truth: NDArray[np.float64]) -> _Answer:
     grid = estimate.grid
-    held = region(estimate.place_map)
+    region = credible_region(estimate.place_map)
     row, column = np.abs(grid.v - truth[1]).argmin(), np.abs(grid.u - truth[0]).argmin()
     u0, v0, u1, v1 = grid.extent
-    return _Kept(
+    return _Answer(
         estimate.pose,
         estimate.score,
         estimate.modes[0].probability,
-        bool(near(estimate.pose, truth[None], grid)[0]),
-        bool(held[row, column]),
-        float(held.mean() * (u1 - u0) * (v1 - v0)),
+        bool(within_reach(estimate.pose, truth[None], grid)[0]),
+        bool(region[row, column]),
+        float(region.mean() * (u1 - u0) * (v1 - v0)),
     )
-
-
-def _write(evaluation: Evaluation, figures: dict[str, Figure], folder: Path) -> None:
-    """Write every file whole; ``result.json``, which says that results are there, is the last."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in figures.items():
-        save_figure(figure, folder / f"{name}.png")
-    rows, table = evaluation.rows(), io.StringIO(newline="")
-    writer = csv.DictWriter(table, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-    unreadable = (
-        json.dumps({"name": name, "error": error}) + "\n"
-        for name, error in evaluation.unreadable.items()
-    )
-    content = {**evaluation.summary(), "per_sample": rows}
-    for name, text in (
-        ("samples.csv", table.getvalue()),
-        ("bad_samples.jsonl", "".join(unreadable)),
-        ("result.json", json.dumps(content, indent=1, allow_nan=False) + "\n"),
-    ):
-        write_text(folder / name, text, RunError)
 
 
 def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) -> dict[str, Figure]:
     """Pictures of the errors and of three cases, by name."""
-    figures = {"errors": draw_errors(evaluation.errors, evaluation.floor)}
-    order = np.argsort(evaluation.errors.place_m, kind="stable")
+    figures = {"errors": draw_errors(evaluation.errors, evaluation.oracle)}
+    errors = evaluation.errors
+    # In units of reach, so that neither metres nor degrees decide alone.
+    together = errors.place_m / (REACH * evaluation.tile_metres) + errors.heading_deg / REACH_DEG
+    order = np.argsort(together, kind="stable")
     cases = {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
-    index_of = {name: index for index, name in enumerate(dataset.names)}
+    normalisation = localizer.config.normalisation()
     for case, n in cases.items():
-        name = evaluation.names[n]
-        sample = dataset[index_of[name]]
+        index = evaluation.indices[n]
+        sample = dataset[index]
+        if sample is None:  # it has become unreadable since
+            continue
         metres = evaluation.tile_metres[n : n + 1]
         (estimate,) = _estimates(localizer, sample["ground"][None], sample["aerial"][None], metres)
-        place_m, heading_deg = evaluation.errors.place_m[n], evaluation.errors.heading_deg[n]
         figures[case] = draw_estimate(
-            denormalise(sample["aerial"], *localizer.config.normalisation()),
+            denormalise(sample["aerial"], *normalisation),
             estimate.heat_map,
             localizer.grid,
             evaluation.estimates[n],
             localizer.frustum,
             truth=evaluation.truths[n],
-            ground=denormalise(sample["ground"], *localizer.config.normalisation()),
-            title=f"{case}: {place_m:.2f} m and {heading_deg:.1f}° off\n{name}",
+            ground=denormalise(sample["ground"], *normalisation),
+            title=(
+                f"{case.capitalize()}: {errors.place_m[n]:.2f} m and "
+                f"{errors.heading_deg[n]:.1f}° off\nsample {index}, {evaluation.names[n]}"
+            ),
+            estimate=estimate,
+            tile_metres=float(metres[0]),
+            # KITTI turns its crops, each by another angle.
+            north_up=localizer.config.data != "kitti",
         )
     return figures
 
@@ -421,8 +376,3 @@ def _estimates(
         features = localizer.model.encode_aerial(aerial.to(localizer.device))
     pixels = [aerial.shape[-1]] * len(aerial)
     return localizer.estimate(descriptors, features, pixels, tile_metres.tolist())
-
-
-def _named(prefix: str, pose: NDArray[np.float64]) -> dict[str, float]:
-    names = ("u", "v", "heading_deg")
-    return {prefix + name: float(value) for name, value in zip(names, pose, strict=True)}

@@ -1,20 +1,17 @@
 """How far estimated poses are from the true ones, and how near a grid of candidates can come."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from slicemask.errors import PoseError
+from slicematch.angles import angle_difference_deg
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-Angles = TypeVar("Angles", np.ndarray, "Tensor")
-
-RECALL_THRESHOLDS = (1, 5)
+# Metres and degrees below which recalls count by default.
+RECALLS = (1.0, 3.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -36,26 +33,34 @@ class PoseErrors:
     longitudinal_m: np.ndarray
     heading_deg: np.ndarray
 
-    def summary(self) -> dict[str, float]:
-        """Mean and median of place and heading, and recalls at 1 and 5 metres or degrees.
+    def summary(self, recalls: Sequence[float] = RECALLS) -> dict[str, float]:
+        """Mean and median of place and heading, and recalls.
 
-        Recalls are shares in [0, 1] of lateral, longitudinal and heading errors below (strictly)
-        the threshold.
+        Parameters
+        ----------
+        recalls : sequence of float
+            Thresholds in metres and degrees.
+
+        Returns
+        -------
+        figures : dict
+            Metres and degrees. Recalls, such as "lateral_recall_3m", are shares in [0, 1] of
+            lateral, longitudinal and heading errors below (strictly) the threshold.
         """
-        recalls = {
-            f"{name}_recall_{threshold}{unit}": recall(errors, threshold)
+        found = {
+            recall_name(name, threshold, unit): recall(errors, threshold)
             for name, unit, errors in (
                 ("lateral", "m", self.lateral_m),
                 ("longitudinal", "m", self.longitudinal_m),
                 ("heading", "deg", self.heading_deg),
             )
-            for threshold in RECALL_THRESHOLDS
+            for threshold in recalls
         }
-        return {**_mean_and_median(self.place_m, self.heading_deg), **recalls}
+        return {**_mean_and_median(self.place_m, self.heading_deg), **found}
 
 
 @dataclass(frozen=True)
-class Floor:
+class OracleError:
     """What candidates alone cost: the least error that any choice among them leaves.
 
     Place and heading count by themselves: no single candidate need reach both.
@@ -124,26 +129,12 @@ def heading_error_deg(estimates: ArrayLike, truths: ArrayLike) -> np.ndarray:
     >>> float(heading_error_deg(359.0, 2.0))
     3.0
     """
-    return np.abs(turn_deg(np.asarray(estimates, float), np.asarray(truths, float)))
+    return np.abs(angle_difference_deg(np.asarray(estimates, float), np.asarray(truths, float)))
 
 
-def turn_deg(headings: Angles, origin: Angles | float) -> Angles:
-    """Turns from the origin to headings, clockwise, the short way round: degrees in [-180, 180).
-
-    Of NumPy arrays and of tensors.
-
-    Examples
-    --------
-    >>> turn_deg(np.array([350.0, 20.0]), 10.0)
-    array([-20.,  10.])
-    """
-    return (headings - origin + 180.0) % 360.0 - 180.0
-
-
-def in_place_prior(u: ArrayLike, v: ArrayLike, prior: tuple[float, float, float]) -> np.ndarray:
-    """Whether places lie within the radius of a prior (u, v, radius), its edge but for rounding."""
-    centre_u, centre_v, radius = prior
-    return np.hypot(np.asarray(u) - centre_u, np.asarray(v) - centre_v) <= radius + 1e-9
+def recall_name(error: str, threshold: float, unit: str) -> str:
+    """The name of a recall, such as "lateral_recall_3m"."""
+    return f"{error}_recall_{threshold:g}{unit}"
 
 
 def recall(errors: ArrayLike, threshold: float) -> float:
@@ -160,7 +151,7 @@ def recall(errors: ArrayLike, threshold: float) -> float:
     return float(np.mean(errors < threshold))
 
 
-def candidate_floor(candidates: ArrayLike, truths: ArrayLike, tile_metres: ArrayLike) -> Floor:
+def oracle_error(candidates: ArrayLike, truths: ArrayLike, tile_metres: ArrayLike) -> OracleError:
     """How near the candidates come to the true poses at best.
 
     Parameters
@@ -179,8 +170,8 @@ def candidate_floor(candidates: ArrayLike, truths: ArrayLike, tile_metres: Array
 
     Examples
     --------
-    >>> floor = candidate_floor([[0.5, 0.5, 0.0], [0.5, 0.5, 90.0]], [[0.5, 0.53, 350.0]], 100.0)
-    >>> floor.place_m.round(6), floor.heading_deg
+    >>> oracle = oracle_error([[0.5, 0.5, 0.0], [0.5, 0.5, 90.0]], [[0.5, 0.53, 350.0]], 100.0)
+    >>> oracle.place_m.round(6), oracle.heading_deg
     (array([3.]), array([10.]))
     """
     candidates = _as_poses(candidates, "candidate poses")
@@ -190,7 +181,7 @@ def candidate_floor(candidates: ArrayLike, truths: ArrayLike, tile_metres: Array
     # before the first.
     headings = np.unique(candidates[:, 2] % 360.0)
     after = np.searchsorted(headings, truths[:, 2] % 360.0) % len(headings)
-    return Floor(
+    return OracleError(
         place_m=distance * _as_column(tile_metres, len(truths))[:, 0],
         heading_deg=np.minimum(
             heading_error_deg(headings[after], truths[:, 2]),

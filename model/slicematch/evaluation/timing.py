@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -13,10 +13,13 @@ from torch import Tensor
 from slicemask import Frustum, PoseGrid, build_bank
 from slicemask.bank.build import Progress
 from slicemask.errors import is_out_of_memory
-from slicematch.devices import Precision, choose_device, precision_note
+from slicemask.geometry.frustum import Projection
+from slicematch.devices import choose_device, precision_note
 from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer, load_candidates
+from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
+from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates
@@ -95,19 +98,37 @@ def time_run(
     batch_size: int = 1,
     runs: int = 5,
 ) -> Timings:
-    """Time a trained run on images of its size; all but the last two as for `Localizer.load`.
+    """Time a trained run on images of its size.
 
     Parameters
     ----------
+    run : path
+        A run folder.
+    grid : str, optional
+        Candidates such as "21x21x64"; the run's test grid by default.
+    bank : path, optional
+        A bank of candidates instead.
+    checkpoint : {"best", "last"}
+        Which weights.
+    device : str
+        "auto" (CUDA where it is there, else the CPU), "cpu", "cuda" or "cuda:N".
+    cache : path, optional
+        The folder of banks; SLICEMASK_CACHE or ``./masks_cache`` by default.
+    precision : {"32-true", "16-mixed", "bf16-mixed"}
+        In which the encoders compute.
     batch_size : int
         Pairs in a batch.
     runs : int
         Batches that are timed, after one that is not.
 
+    Returns
+    -------
+    timings : Timings
+
     Raises
     ------
     RunError, ConfigError, BankError
-        As `Localizer.load`, or if batch size or runs are below 1.
+        If run or bank cannot be loaded, or batch size or runs are below 1.
     """
     _check(batch_size, runs)
     loaded = Localizer.load(
@@ -119,15 +140,24 @@ def time_run(
         cache=cache,
         precision=precision,
     )
-    sizes = loaded.config.ground_size, loaded.config.aerial_size
-    return time_stages(loaded.model, loaded.within(), loaded.device, *sizes, batch_size, runs)
+    ground_size = cast(tuple[int, int], loaded.config.ground_size)
+    return time_stages(
+        loaded.model,
+        loaded.within(),
+        loaded.device,
+        ground_size,
+        loaded.config.aerial_size,
+        batch_size,
+        runs,
+    )
 
 
 def time_settings(
     *,
     grid: str = "21x21x64",
     hfov_deg: float = 360.0,
-    projection: str = "equirectangular",
+    projection: Projection = "equirectangular",
+    bands: tuple[float, ...] = (),
     encoder: str = "vgg16",
     weights: str | Path = "none",
     stride: int = 16,
@@ -145,25 +175,39 @@ def time_settings(
 
     Parameters
     ----------
-    grid, hfov_deg, projection, slices
+    grid, hfov_deg, projection, bands, slices
         The candidates: see `slicemask.PoseGrid.parse` and `slicemask.Frustum`.
-    encoder, weights, stride, ground_size, aerial_size
-        As for `SliceMatch`.
+    encoder : str
+        timm backbone of both images.
+    weights : str or path
+        "imagenet", "none" or a file.
+    stride : int
+        Of the feature maps.
+    ground_size : (height, width)
+        Pixels of the ground images.
+    aerial_size : int
+        Pixels along each side of the aerial images.
     device : str
-        As for `choose_device`.
+        "auto" (CUDA where it is there, else the CPU), "cpu", "cuda" or "cuda:N".
     cache : path, optional
-        The folder of banks, as for `slicemask.build_bank`.
+        The folder of banks; SLICEMASK_CACHE or ``./masks_cache`` by default.
     precision : {"32-true", "16-mixed", "bf16-mixed"}
-        In which the encoders compute, as for `Localizer.load`.
-    batch_size, runs
-        As for `time_run`.
+        In which the encoders compute.
+    batch_size : int
+        Pairs in a batch.
+    runs : int
+        Batches that are timed, after one that is not.
     progress : callable, optional
         Follows the bank's building, if it has to be built.
+
+    Returns
+    -------
+    timings : Timings
 
     Raises
     ------
     ConfigError, WeightsError, SpecError, PoseError, BankError
-        If the settings cannot be.
+        If a setting is invalid.
     """
     _check(batch_size, runs)
     if min(*ground_size, aerial_size) < 1:
@@ -171,12 +215,27 @@ def time_settings(
             f"image sizes are {ground_size} and {aerial_size} pixels; they must be at least 1"
         )
     chosen = choose_device(device)
-    frustum, poses = Frustum(hfov_deg, slices, projection), PoseGrid.parse(grid)
-    model = SliceMatch(encoder, weights, ground_size, aerial_size, stride, slices)
+    frustum, poses = Frustum(hfov_deg, slices, projection, bands), PoseGrid.parse(grid)
+    model = SliceMatch(
+        encoder, weights, ground_size, aerial_size, stride, slices, bands=_some_bands(frustum)
+    )
     model.for_inference(chosen, precision)
     bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path
     candidates, _ = load_candidates(bank, frustum, model.cells)
     return time_stages(model, candidates, chosen, ground_size, aerial_size, batch_size, runs)
+
+
+def _some_bands(frustum: Frustum) -> RangeBands | None:
+    """Bands of a network for a frustum's; which rows they look at changes no time."""
+    if not frustum.bands:
+        return None
+    ranges_m = tuple(70.0 * share for share in frustum.bands)
+    return RangeBands(
+        ranges_m=ranges_m,
+        camera_height_m=2.5,
+        elevations_deg=(-45.0, 45.0),
+        projection=frustum.projection,
+    )
 
 
 def time_stages(

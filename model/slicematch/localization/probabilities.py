@@ -1,4 +1,4 @@
-"""How sure an estimate is: probabilities of candidates, their spread, and how well they hold.
+"""How sure an estimate is: probabilities of candidates, and how they spread.
 
 Ours. Scores become probabilities by a softmax, p_k = exp(c_k / T) / sum exp(c / T), with one
 temperature T for all images, fitted afterwards (temperature scaling: Guo, Pleiss, Sun,
@@ -6,22 +6,17 @@ Weinberger, *On Calibration of Modern Neural Networks*, ICML 2017, section 4.2).
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax, softmax
+from scipy.special import softmax
 
 from slicemask import PoseGrid
-from slicematch.errors import ConfigError
-from slicematch.evaluation.metrics import turn_deg
-from slicematch.localization.refinement import grid_steps, near
+from slicematch.angles import angle_difference_deg
+from slicematch.localization.modes import grid_steps, within_reach
 
 # The share of probability that a region of places or an ellipse is to hold.
 CONFIDENCE = 0.95
-# Temperatures that are tried: from scores that settle everything to scores that settle nothing.
-_LEAST, _MOST = 1e-4, 10.0
 
 
 def probabilities(scores: ArrayLike, temperature: float) -> NDArray[np.float64]:
@@ -35,7 +30,7 @@ def probabilities(scores: ArrayLike, temperature: float) -> NDArray[np.float64]:
     return np.asarray(softmax(np.asarray(scores, dtype=np.float64) / temperature))
 
 
-def region(place_map: ArrayLike, confidence: float = CONFIDENCE) -> NDArray[np.bool]:
+def credible_region(place_map: ArrayLike, confidence: float = CONFIDENCE) -> NDArray[np.bool]:
     """The fewest places that hold the confidence together, the likeliest first.
 
     Parameters
@@ -51,7 +46,7 @@ def region(place_map: ArrayLike, confidence: float = CONFIDENCE) -> NDArray[np.b
 
     Examples
     --------
-    >>> region([[0.6, 0.3], [0.08, 0.02]], 0.9)
+    >>> credible_region([[0.6, 0.3], [0.08, 0.02]], 0.9)
     array([[ True,  True],
            [False, False]])
     """
@@ -84,7 +79,7 @@ def mode_probabilities(
     poses, left = grid.poses(), probabilities.ravel().copy()
     found = np.empty(len(modes))
     for m, mode in enumerate(modes):
-        around = near(mode, poses, grid)
+        around = within_reach(mode, poses, grid)
         found[m] = left[around].sum()
         left[around] = 0.0
     return found
@@ -113,13 +108,13 @@ def mean_poses(
     """
     poses, found = grid.poses(), np.empty_like(modes)
     for m, mode in enumerate(modes):
-        around = near(mode, poses, grid)
+        around = within_reach(mode, poses, grid)
         weights = probabilities.ravel()[around]
         if not weights.sum() > 0:  # far less likely than the best mode
             found[m] = mode
             continue
         away = poses[around] - mode
-        away[:, 2] = turn_deg(poses[around, 2], mode[2])
+        away[:, 2] = angle_difference_deg(poses[around, 2], mode[2])
         found[m] = mode + weights @ away / weights.sum()
     return found
 
@@ -151,9 +146,8 @@ def covariance(
         the short way round. Of an axis of one value, which is known, all is 0.
     """
     steps = np.array(grid_steps(grid))
-    away = np.stack(
-        [poses[:, 0] - pose[0], pose[1] - poses[:, 1], turn_deg(poses[:, 2], pose[2])], axis=1
-    )
+    heading_deg = angle_difference_deg(poses[:, 2], pose[2])
+    away = np.stack([poses[:, 0] - pose[0], pose[1] - poses[:, 1], heading_deg], axis=1)
     away[:, steps == 0] = 0.0
     total = weights.sum()
     # Where the pose stands so far from all that is likely that nothing is left to weigh.
@@ -187,111 +181,3 @@ def ellipse(covariance: NDArray[np.float64], confidence: float = CONFIDENCE) -> 
     minor, major = factor * np.sqrt(np.maximum(variances, 0.0))
     azimuth_deg = math.degrees(math.atan2(axes[0, 1], axes[1, 1])) % 180.0
     return float(major), float(minor), azimuth_deg
-
-
-def fit_temperature(scores: NDArray[np.float32], truths: NDArray[np.int64]) -> tuple[float, float]:
-    """The temperature under which the true candidates are likeliest.
-
-    Parameters
-    ----------
-    scores : float [n, K]
-        Of the candidates; -inf leaves one out.
-    truths : int [n]
-        The candidate nearest to each truth.
-
-    Returns
-    -------
-    temperature : float
-        In [1e-4, 10].
-    nll : float
-        The mean negative log-likelihood of the true candidates under it.
-
-    Raises
-    ------
-    ConfigError
-        If there is no sample, or a score is NaN or infinite, or that of a true candidate -inf.
-    """
-    if len(scores) == 0:
-        raise ConfigError("there are no samples to fit a temperature to; at least one is needed")
-    # A NaN outdoes any maximum.
-    if not (scores.max() < np.inf and scores[np.arange(len(truths)), truths].min() > -np.inf):
-        raise ConfigError(
-            "no temperature can be fitted: some scores are not finite numbers, as those of a run "
-            "that has diverged; train anew with a lower learning rate"
-        )
-    found = minimize_scalar(
-        lambda log_temperature: mean_nll(scores, truths, math.exp(log_temperature)),
-        bounds=(math.log(_LEAST), math.log(_MOST)),
-        method="bounded",
-        options={"xatol": 1e-3},
-    )
-    return float(math.exp(found.x)), float(found.fun)
-
-
-def mean_nll(scores: NDArray[np.float32], truths: NDArray[np.int64], temperature: float) -> float:
-    """Mean negative log-likelihood of the true candidates; as in `fit_temperature`."""
-    return float(
-        np.mean(
-            [
-                -log_softmax(row.astype(np.float64) / temperature)[truth]
-                for row, truth in zip(scores, truths, strict=True)
-            ]
-        )
-    )
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What probabilities promised and what came true, of n estimates.
-
-    Parameters
-    ----------
-    probability : float64 [n]
-        That the camera is within reach of the estimate.
-    near : bool [n]
-        Whether it is.
-    in_region : bool [n]
-        Whether the true place's cell lies in the 95 % region: the fewest, likeliest places that
-        hold this much (`region`).
-    region_share : float64 [n]
-        How much of the tile that region takes.
-    """
-
-    probability: NDArray[np.float64]
-    near: NDArray[np.bool]
-    in_region: NDArray[np.bool]
-    region_share: NDArray[np.float64]
-
-    def summary(self) -> dict[str, float]:
-        """The expected calibration error, and means of all."""
-        return {
-            "expected_error": calibration_error(self.probability, self.near),
-            "mean_probability": float(self.probability.mean()),
-            "share_near": float(self.near.mean()),
-            "share_in_region": float(self.in_region.mean()),
-            "region_share": float(self.region_share.mean()),
-        }
-
-
-def calibration_error(probabilities: ArrayLike, held: ArrayLike, bins: int = 10) -> float:
-    """Expected calibration error: how far probabilities lie from the shares that came true.
-
-    The mean over samples of | mean probability - share that held |, each taken over the samples
-    of one of ``bins`` equal bins of probability (Guo and others, ICML 2017, eq. 3).
-
-    Parameters
-    ----------
-    probabilities : float [n]
-        What was promised, in [0, 1].
-    held : bool [n]
-        What came true.
-
-    Examples
-    --------
-    >>> round(calibration_error([0.8, 0.8, 0.8, 0.8], [True, True, True, False]), 3)
-    0.05
-    """
-    promised, held = np.asarray(probabilities, float), np.asarray(held, float)
-    number = np.minimum((promised * bins).astype(int), bins - 1)
-    gaps = np.bincount(number, promised - held, bins)
-    return float(np.abs(gaps).sum() / len(promised))

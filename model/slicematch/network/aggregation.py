@@ -14,7 +14,7 @@ from torch.nn import functional as F  # noqa: N812  the name torch's own documen
 # squared lengths around 1; of one shorter than 1e-4, the gradient would grow without bound.
 EPSILON = 1e-8
 # The least area of a slice, in cells, for whose mean features are divided by all of it.
-_LEAST_AREA = 1e-12
+LEAST_AREA = 1e-12
 
 
 class GroundAggregator(nn.Module):
@@ -125,7 +125,7 @@ def aerial_descriptors(features: Tensor, attention: Tensor, masks: Tensor) -> Te
         Unit length. The descriptor of an empty mask is zero, and so is its gradient (ours).
     """
     weights = masks * attention[:, None]
-    areas = masks.sum(dim=(-2, -1)).clamp_min(_LEAST_AREA)
+    areas = masks.sum(dim=(-2, -1)).clamp_min(LEAST_AREA)
     return unit(torch.einsum("sknij,scij->sknc", weights, features) / areas[..., None])
 
 

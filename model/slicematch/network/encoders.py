@@ -11,9 +11,9 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from slicematch import _torchvision  # noqa: F401  before timm: see there
-from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.devices import autocast
 from slicematch.errors import ConfigError, WeightsError
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.precision import Precision
 
 import timm  # isort: skip

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -9,8 +10,9 @@ from slicemask import Frustum, PoseGrid
 from slicemask.files import write_text
 from slicemask.geometry.frustum import Projection
 from slicematch.data import DATA_SETS, config_class
-from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD, DataConfig, Split, Triple
+from slicematch.data.source import DataConfig, Split
 from slicematch.errors import ConfigError
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.precision import Precision
 from slicematch.runs.settings import convert, read_settings
 
@@ -33,6 +35,8 @@ _OLD_NAMES = {
     "bad_samples": "max_bad_samples",
     "splits": "split_dir",
 }
+# Ranges below this are shares of the tile's side: no tile has a camera that far from its edge.
+_LARGEST_SHARE = 1.5
 # No option of a command: either kept for the run folder alone, or found by other means.
 _KEPT = {"option": None}
 
@@ -90,6 +94,21 @@ class TrainConfig:
         None in runs of before.
     slices : int
         N, the slices of a ground image.
+    bands : (range, ...)
+        Ranges that cut slices into bands, increasing (ours): in metres, or, if all are below 1.5,
+        in shares of the tile's side; none for the paper's whole slices.
+    band_rows : {"geometry", "learned"}
+        Whether a band's ground descriptor looks only at the rows in which flat ground at its range
+        is seen, or at rows that are learned, starting from those.
+    band_values : bool
+        Whether each band's ground descriptors go through a linear map of their own.
+    band_weights : bool
+        Whether each of a band's ground descriptors has a learned weight in the score.
+    camera_height_m : float or None
+        Of the cameras above the ground, which tells the rows of a range; None for the data set's.
+    elevations : (lowest, highest) or None
+        The part of the ground images that is used, in degrees above the horizon (ours), which is at
+        half their height; None for all of them.
     cross_view_attention : bool
         Whether the aerial attention sees the ground descriptors.
     alpha : float or None
@@ -172,6 +191,12 @@ class TrainConfig:
     weights_source: str | None = field(default=None, metadata=_KEPT)
     tile_side_m: float | None = field(default=None, metadata=_KEPT)
     slices: int = 16
+    bands: tuple[float, ...] = ()
+    band_rows: Literal["geometry", "learned"] = "geometry"
+    band_values: bool = True
+    band_weights: bool = True
+    camera_height_m: float | None = None
+    elevations: tuple[float, float] | None = None
     cross_view_attention: bool = True
     alpha: float | None = field(default=4.0, metadata={"none": "K"})
     tau: float = 0.1
@@ -222,7 +247,20 @@ class TrainConfig:
         std, side = self.image_std, self.tile_side_m
         self._check("image_std", std is None or min(std) > 0, "three numbers greater than 0")
         self._check("tile_side_m", side is None or side > 0, "greater than 0")
-        if any(getattr(self, name) is None for name in _FROM_DATA):
+        ranges = (0.0, *self.bands)
+        self._check(
+            "bands",
+            all(near < far for near, far in pairwise(ranges)),
+            "increasing ranges above 0, such as 6,12,24",
+        )
+        height, part = self.camera_height_m, self.elevations
+        self._check("camera_height_m", height is None or height > 0, "greater than 0")
+        self._check(
+            "elevations",
+            part is None or -90 <= part[0] < part[1] <= 90,
+            "(lowest, highest) from -90 to 90 degrees",
+        )
+        if any(getattr(self, name) is None for name in self._from_data()):
             self._complete()
         for name in ("train_grid", "test_grid"):
             self.grid(name)
@@ -230,7 +268,7 @@ class TrainConfig:
     def _complete(self) -> None:
         """Take from the data set what is not given, and let it check its own settings."""
         data = self.data_config()
-        for name in _FROM_DATA:
+        for name in self._from_data():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(data, name))
         own = {name: _plain(getattr(data, name)) for name in data.own_settings()}
@@ -242,6 +280,10 @@ class TrainConfig:
             if data.hfov_deg is not None
             else "",
         )
+
+    def _from_data(self) -> tuple[str, ...]:
+        """The settings that are the data set's where they are not given."""
+        return (*_FROM_DATA, "camera_height_m") if self.bands else _FROM_DATA
 
     def _check(self, name: str, holds: bool, expected: str) -> None:
         if not holds:
@@ -317,7 +359,34 @@ class TrainConfig:
         """Field of view and slices; `hfov_deg` must be known, as it is in a run folder."""
         if self.hfov_deg is None or self.projection is None:
             raise ConfigError("hfov_deg is None; it must be known: training fills it in")
-        return Frustum(self.hfov_deg, self.slices, self.projection)
+        return Frustum(self.hfov_deg, self.slices, self.projection, self.band_shares())
+
+    def band_shares(self) -> tuple[float, ...]:
+        """The ranges of the bands in shares of the tile's side, to four digits.
+
+        Raises
+        ------
+        ConfigError
+            If they are in metres and the tiles' side is not known, as it is in a run folder.
+        """
+        scale = 1.0 if self._bands_are_shares() else self._tile_side_m()
+        return tuple(round(range_ / scale, 4) for range_ in self.bands)
+
+    def band_ranges_m(self) -> tuple[float, ...]:
+        """The ranges of the bands in metres; see `band_shares`."""
+        scale = self._tile_side_m() if self._bands_are_shares() else 1.0
+        return tuple(range_ * scale for range_ in self.bands)
+
+    def _bands_are_shares(self) -> bool:
+        return max(self.bands, default=0.0) < _LARGEST_SHARE
+
+    def _tile_side_m(self) -> float:
+        if self.tile_side_m is None:
+            raise ConfigError(
+                "bands are ranges on the ground, and tile_side_m, the tiles' side, is not known: "
+                "training fills it in"
+            )
+        return self.tile_side_m
 
     def heading_prior(self) -> tuple[float, float] | None:
         """The heading prior as (centre, half width) in degrees, or None for any heading."""
@@ -349,6 +418,7 @@ class TrainConfig:
             "split": split or self.split,
             "heading_half_width_deg": self.heading_half_width_deg,
             "aerial_size": self.aerial_size,
+            "elevations": self.elevations,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
             "extent": self.extent,

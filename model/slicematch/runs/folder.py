@@ -18,12 +18,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import torch
 
 from slicemask import PoseGrid
+from slicemask.geometry.frustum import Projection
+from slicematch.data.elevations import image_elevations
 from slicematch.errors import RunError
+from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.settings import read_settings
@@ -239,6 +242,27 @@ def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
         stride=config.stride,
         slices=config.slices,
         cross_view_attention=config.cross_view_attention,
+        bands=_range_bands(config),
+    )
+
+
+def _range_bands(config: TrainConfig) -> RangeBands | None:
+    """What the network has to know of the settings' bands; None where slices have none."""
+    if not config.bands:
+        return None
+    # As they are once training has completed them.
+    height, projection = cast(float, config.camera_height_m), cast(Projection, config.projection)
+    shown = config.elevations or image_elevations(
+        projection, cast(float, config.hfov_deg), cast(float, config.ground_aspect)
+    )
+    return RangeBands(
+        ranges_m=config.band_ranges_m(),
+        camera_height_m=height,
+        elevations_deg=shown,
+        projection=projection,
+        rows=config.band_rows,
+        value_maps=config.band_values,
+        weights=config.band_weights,
     )
 
 

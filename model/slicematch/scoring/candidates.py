@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from slicemask import Bank
+from slicematch.angles import angle_difference_deg
 from slicematch.errors import ConfigError
-from slicematch.evaluation.metrics import in_place_prior, turn_deg
+from slicematch.priors import in_place_prior
 from slicematch.scoring.plan import (
     Masks,
     PoolingPlan,
@@ -103,7 +104,7 @@ class Candidates:
         # The slack takes in candidates that stand on the prior's edge but for rounding.
         if heading_prior is not None:
             centre, half_width = _numbers("heading prior", heading_prior, 2)
-            keep &= np.abs(turn_deg(self.poses[:, 2], centre)) <= half_width + 1e-9
+            keep &= np.abs(angle_difference_deg(self.poses[:, 2], centre)) <= half_width + 1e-9
         if place_prior is not None:
             u, v, radius = _numbers("place prior", place_prior, 3)
             keep &= in_place_prior(self.poses[:, 0], self.poses[:, 1], (u, v, radius))

@@ -10,8 +10,8 @@ from slicemask import slice_masks
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 from slicematch.errors import RunError
 from slicematch.evaluation.metrics import pose_errors
-from slicematch.localization.refinement import Domain
 from slicematch.network.slicematch import SliceMatch
+from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates, score_masks
@@ -52,13 +52,13 @@ class TrainingModule(lightning.LightningModule):
         self.train_candidates = train_candidates
         self.test_candidates = test_candidates
         self.train_grid = config.grid("train_grid")
-        self.domain = Domain(self.train_grid.extent, config.heading_prior(), config.place_prior)
+        self.prior = PosePrior(self.train_grid.extent, config.heading_prior(), config.place_prior)
         self.jittered_candidates: list[Candidates] = []
         if config.grid_jitter:
             self.jittered_candidates = jittered_candidates(
                 train_candidates.poses,
                 self.train_grid,
-                self.domain,
+                self.prior,
                 self.frustum,
                 model.cells,
                 config.seed,
@@ -109,7 +109,7 @@ class TrainingModule(lightning.LightningModule):
                 batch["pose"],
                 self.config.near_negatives,
                 self.train_grid,
-                self.domain,
+                self.prior,
             )
             masks = slice_masks(near.flatten(0, 1), self.frustum, self.model.cells, engine="rays")
             masks = masks.unflatten(0, near.shape[:2])

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
-from slicematch.localization.refinement import Domain, grid_steps
+from slicematch.localization.modes import grid_steps
+from slicematch.priors import PosePrior
 from slicematch.scoring.candidates import Candidates
 
 # How many offsets of the grid a run draws from: banks of them are built at its start.
@@ -23,7 +24,7 @@ OFFSETS = 16
 def jittered_candidates(
     poses: NDArray[np.float64],
     grid: PoseGrid,
-    domain: Domain,
+    prior: PosePrior,
     frustum: Frustum,
     cells: int,
     seed: int,
@@ -37,7 +38,7 @@ def jittered_candidates(
     grid : PoseGrid
         An offset is at most half its step to either side, along each axis, so that all offsets
         together fill its cells.
-    domain : Domain
+    prior : PosePrior
         Which jittered candidates do not leave. A known heading stays.
     frustum, cells
         Of the masks.
@@ -46,20 +47,20 @@ def jittered_candidates(
     """
     offsets = np.random.default_rng([seed, OFFSETS]).uniform(-0.5, 0.5, (OFFSETS, 3))
     offsets *= grid_steps(grid)
-    if domain.heading_prior is not None:
-        half_width = domain.heading_prior[1]
+    if prior.heading_prior is not None:
+        half_width = prior.heading_prior[1]
         offsets[:, 2] = np.clip(offsets[:, 2], -half_width, half_width)
     jittered = []
     with tempfile.TemporaryDirectory() as folder:
         for number, offset in enumerate(offsets):
-            moved = domain.project(torch.from_numpy(poses + offset)).numpy()
+            moved = prior.project(torch.from_numpy(poses + offset)).numpy()
             out = Path(folder, f"{number}.h5")
             with open_bank(build_bank(moved, frustum, cells, engine="rays", out=out).path) as bank:
                 jittered.append(Candidates.from_bank(bank))
     return jittered
 
 
-def near_poses(truths: Tensor, count: int, grid: PoseGrid, domain: Domain) -> Tensor:
+def near_poses(truths: Tensor, count: int, grid: PoseGrid, prior: PosePrior) -> Tensor:
     """Poses at random within one step of the grid of true ones, to either side along each axis.
 
     Drawn from torch's own random state, on the CPU.
@@ -72,7 +73,7 @@ def near_poses(truths: Tensor, count: int, grid: PoseGrid, domain: Domain) -> Te
         Poses around each.
     grid : PoseGrid
         The training grid.
-    domain : Domain
+    prior : PosePrior
         Which the poses do not leave.
 
     Returns
@@ -81,4 +82,4 @@ def near_poses(truths: Tensor, count: int, grid: PoseGrid, domain: Domain) -> Te
     """
     shares = torch.rand(len(truths), count, 3, dtype=truths.dtype, device="cpu")
     offsets = (2.0 * shares - 1.0).to(truths) * truths.new_tensor(grid_steps(grid))
-    return domain.project((truths[:, None] + offsets).flatten(0, 1)).unflatten(0, (-1, count))
+    return prior.project((truths[:, None] + offsets).flatten(0, 1)).unflatten(0, (-1, count))

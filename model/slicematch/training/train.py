@@ -107,7 +107,7 @@ def train(
     training = config.dataset("train")
     validation = config.dataset("validation") if config.validation_fraction > 0 else None
     datasets = [training] if validation is None else [training, validation]
-    config = _with_facts_of_the_data(config, training)
+    config = _with_facts_of_the_data(config, training, run.load_config() if resuming else None)
     if resuming:
         _check_same(run, config)
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
@@ -188,12 +188,18 @@ def _with_normalisation(config: TrainConfig, before: TrainConfig | None) -> Trai
     return config
 
 
-def _with_facts_of_the_data(config: TrainConfig, training: PoseDataset) -> TrainConfig:
-    """The settings with what only the data say: field of view and size of the tiles."""
+def _with_facts_of_the_data(
+    config: TrainConfig, training: PoseDataset, before: TrainConfig | None
+) -> TrainConfig:
+    """The settings with what only the data say: field of view and size of the tiles.
+
+    A resumed run keeps the size it has, which its bands are shares of.
+    """
+    side = None if before is None else before.tile_side_m
     return replace(
         config,
         hfov_deg=training.hfov_deg if config.hfov_deg is None else config.hfov_deg,
-        tile_side_m=float(np.median(training.tile_metres)),
+        tile_side_m=float(np.median(training.tile_metres)) if side is None else side,
     )
 
 

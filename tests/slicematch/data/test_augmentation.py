@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 from slicematch.data.augmentation import recolour
-from slicematch.data.source import IMAGENET_MEAN, IMAGENET_STD
+from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD
 
 MEAN, STD = (torch.tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_STD))
 

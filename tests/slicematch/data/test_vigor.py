@@ -10,7 +10,7 @@ from slicematch.data.dataset import PoseDataset
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import denormalise
 from slicematch.data.vigor import CITIES, VigorConfig, read_labels
-from slicematch.evaluation.metrics import candidate_floor
+from slicematch.evaluation.metrics import oracle_error
 from torch.utils.data import DataLoader
 
 from slicemask import PoseGrid
@@ -437,13 +437,13 @@ def test_the_real_chicago_labels_reach_beyond_the_central_quarter(real_chicago):
 @pytest.mark.parametrize(
     ("grid", "mean", "median"), [("21x21x64", 1.26, 1.30), ("64x64x64", 0.42, 0.45)]
 )
-def test_the_floor_of_grids_on_real_labels(real_chicago, grid, mean, median):
+def test_the_oracle_error_of_grids_on_real_labels(real_chicago, grid, mean, median):
     """Near the figures for three cities; a tile of Chicago is about as large as theirs."""
     dataset = open_vigor(real_chicago, "test", cities=("Chicago",))
-    floor = candidate_floor(PoseGrid.parse(grid).poses(), dataset.poses(), dataset.tile_metres)
-    summary = floor.summary()
+    oracle = oracle_error(PoseGrid.parse(grid).poses(), dataset.poses(), dataset.tile_metres)
+    summary = oracle.summary()
     assert summary["place_mean_m"] == pytest.approx(mean, rel=0.05)
     assert summary["place_median_m"] == pytest.approx(median, rel=0.05)
     # Headings k * 360/64: at most 2.8125 degrees off, half that in the mean.
-    assert floor.heading_deg.max() <= 2.8125
+    assert oracle.heading_deg.max() <= 2.8125
     assert summary["heading_mean_deg"] == pytest.approx(1.406, abs=0.03)

@@ -1,8 +1,8 @@
-"""Errors of poses by hand, and floors against the distance to every candidate."""
+"""Errors of poses by hand, and oracle errors against the distance to every candidate."""
 
 import numpy as np
 import pytest
-from slicematch.evaluation.metrics import candidate_floor, heading_error_deg, pose_errors, recall
+from slicematch.evaluation.metrics import heading_error_deg, oracle_error, pose_errors, recall
 
 from slicemask import PoseGrid
 from slicemask.errors import PoseError
@@ -65,10 +65,13 @@ def test_summary():
             "heading_mean_deg": 7.375,
             "heading_median_deg": 4.5,
             "lateral_recall_1m": pytest.approx(0.25),
+            "lateral_recall_3m": 0.75,
             "lateral_recall_5m": 0.75,
             "longitudinal_recall_1m": 1.0,
+            "longitudinal_recall_3m": 1.0,
             "longitudinal_recall_5m": 1.0,
             "heading_recall_1deg": 0.25,
+            "heading_recall_3deg": 0.25,
             "heading_recall_5deg": 0.5,
         }
     )
@@ -84,24 +87,24 @@ def test_summary():
     ],
     ids=str,
 )
-def test_the_floor_is_the_least_error_of_any_candidate(grid):
+def test_the_oracle_error_is_the_least_error_of_any_candidate(grid):
     rng = np.random.default_rng(0)
     truths = rng.uniform(0, [1, 1, 360], (50, 3))
     truths[:3, 2] = 0.0, 359.999, 180.0
     tile_metres = rng.uniform(50, 80, 50)
     candidates = rng.permutation(grid.poses())
-    floor = candidate_floor(candidates, truths, tile_metres)
+    oracle = oracle_error(candidates, truths, tile_metres)
     every = [pose_errors(np.tile(k, (50, 1)), truths, tile_metres) for k in candidates]
-    assert floor.place_m == pytest.approx(np.min([e.place_m for e in every], axis=0))
-    assert floor.heading_deg == pytest.approx(np.min([e.heading_deg for e in every], axis=0))
+    assert oracle.place_m == pytest.approx(np.min([e.place_m for e in every], axis=0))
+    assert oracle.heading_deg == pytest.approx(np.min([e.heading_deg for e in every], axis=0))
 
 
-def test_the_floor_of_candidates_within_a_prior():
+def test_the_oracle_error_of_candidates_within_a_prior():
     """Headings from 350 to 10 degrees, in whatever order."""
     candidates = [[0.5, 0.5, h] for h in (5, 350, 0, 355, 10)]
-    floor = candidate_floor(candidates, [[0.5, 0.5, h] for h in (357, 180, 340, 12)], 1.0)
-    assert floor.heading_deg.tolist() == [2, 170, 10, 2]
-    assert floor.summary() == {
+    oracle = oracle_error(candidates, [[0.5, 0.5, h] for h in (357, 180, 340, 12)], 1.0)
+    assert oracle.heading_deg.tolist() == [2, 170, 10, 2]
+    assert oracle.summary() == {
         "place_mean_m": 0.0,
         "place_median_m": 0.0,
         "heading_mean_deg": 46.0,

@@ -8,9 +8,10 @@ import pyproj
 import pytest
 import shapely
 from slicematch.errors import ConfigError
-from slicematch.localization.geodesy import feature_collection, offset_position
-from slicematch.localization.localizer import Estimate, Mode
-from slicematch.localization.refinement import near
+from slicematch.localization.estimate import Estimate
+from slicematch.localization.geodesy import offset_position
+from slicematch.localization.modes import Mode, within_reach
+from slicematch.localization.outputs import feature_collection
 
 from slicemask import PoseGrid
 
@@ -95,7 +96,7 @@ def test_the_ellipse_holds_what_it_says():
     assert full * 0.99 < surface < full  # positive: counter-clockwise
     # The candidates around the answer that lie in it hold some 95 % of what is near.
     shape, poses = shapely.geometry.shape(area["geometry"]), GRID.poses()
-    some = np.flatnonzero(near(made.pose, poses, GRID))
+    some = np.flatnonzero(within_reach(made.pose, poses, GRID))
     inside = [
         shape.contains(
             shapely.Point(offset_position(DELFT, (u - 0.5) * side, (0.5 - v) * side)[::-1])

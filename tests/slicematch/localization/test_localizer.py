@@ -1,73 +1,22 @@
 """Localising with a run, and its evaluation: what they give, not how well a model is trained."""
 
-import csv
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from PIL import Image
-from slicemask.errors import ImageError
 from slicematch.errors import ConfigError, RunError
-from slicematch.evaluation.evaluate import evaluate
 from slicematch.evaluation.timing import time_run
-from slicematch.localization.localizer import Estimate, Localizer, Mode
-from slicematch.localization.refinement import DEFAULT, near
-from slicematch.runs.config import TrainConfig
+from slicematch.localization.estimate import Estimate
+from slicematch.localization.localizer import Localizer
+from slicematch.localization.modes import Mode, within_reach
 from slicematch.scoring.scores import score_masks
-from slicematch.training.train import train
 
 from slicemask import Frustum, PoseGrid, build_bank, slice_masks
-from slicemask.cli.main import main
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("banks")
-
-
-@pytest.fixture(scope="module")
-def vigor(make_vigor_tree, tmp_path_factory):
-    root = tmp_path_factory.mktemp("data") / "vigor"
-    return make_vigor_tree(root, 5, panorama_size=(64, 128), tile_pixels=80)
-
-
-@pytest.fixture(scope="module")
-def run(vigor, tmp_path_factory, cache):
-    """A run trained for one epoch: its answers are poor, and as good as any to check."""
-    config = TrainConfig(
-        data="vigor",
-        root=str(vigor.root),
-        data_settings={"cities": ["Chicago"]},
-        encoder="test_convnext",
-        weights="none",
-        ground_size=(32, 64),
-        aerial_size=64,
-        slices=4,
-        train_grid="3x3x4",
-        test_grid="4x5x8",
-        epochs=1,
-        batch_size=2,
-        validation_fraction=0.0,
-        heat_map_every=0,
-        workers=0,
-        accelerator="cpu",
-    )
-    return train(config, tmp_path_factory.mktemp("runs") / "vigor", cache=cache, progress=False)
-
-
-@pytest.fixture(scope="module")
-def localizer(run, cache):
-    return Localizer.load(run, cache=cache, device="cpu")
-
-
-@pytest.fixture(scope="module")
-def images(vigor):
-    panorama, tile, *_ = vigor.labels["Chicago"][0]
-    city = vigor.root / "Chicago"
-    return city / "panorama" / panorama, city / "satellite" / tile
+from slicemask.errors import ImageError
 
 
 def test_an_unrefined_estimate_is_the_best_candidate(localizer, images):
@@ -106,20 +55,29 @@ def test_a_tile_is_encoded_once_for_many_ground_images(run, cache, vigor, images
     localizer = Localizer.load(run, cache=cache, device="cpu")
     encoded = []
     hook = localizer.model.aerial_encoder.register_forward_hook(lambda *_: encoded.append(1))
+    tile = localizer.encode_aerial(images[1])
     panoramas = sorted((vigor.root / "Chicago" / "panorama").iterdir())
-    tile = np.asarray(Image.open(images[1]).convert("RGB")).copy()
-    for panorama in panoramas:
-        localizer.localize(panorama, images[1])
-        localizer.localize(panorama, tile)
+    estimates = [localizer.localize(panorama, tile) for panorama in panoramas]
     assert len(encoded) == 1
-
-    known = localizer.encode_aerial(images[1])
-    scores = localizer.localize(panoramas[0], known).scores
-    assert len(encoded) == 1
-    tile[:40] = 0  # the same array with other pixels is another tile
-    assert not np.array_equal(localizer.localize(panoramas[0], tile).scores, scores)
-    assert len(encoded) == 2
+    for panorama, estimate in zip(panoramas, estimates, strict=True):
+        expected = localizer.localize(panorama, images[1])
+        np.testing.assert_array_equal(estimate.scores, expected.scores)
+        np.testing.assert_array_equal(estimate.pose, expected.pose)
+    assert len(encoded) == 1 + len(panoramas)
     hook.remove()
+
+
+def test_candidates_of_a_prior_are_planned_once(run, cache):
+    localizer = Localizer.load(run, cache=cache, device="cpu")
+    some = localizer.within((10, 60))
+    assert localizer.within((10.0, 60.0)) is some
+    assert localizer.within(np.array([10.0, 60.0])) is some
+    assert localizer.within((10, 60), (0.5, 0.5, 0.4)) is not some
+    assert localizer.within() is localizer.candidates
+    for centre in range(0, 360, 15):  # as many as come, only a few are kept
+        localizer.within((centre, 60))
+    assert localizer.within((10, 60)) is not some
+    assert len(localizer.within((10, 60)).poses) == len(some.poses)
 
 
 def test_priors_leave_candidates_out(localizer, images):
@@ -163,9 +121,9 @@ def test_pictures_that_cannot_be(localizer, images):
         localizer.localize(images[0], np.zeros((4, 4)))
     for height, width in ((0, 0), (0, 8), (8, 0)):
         empty = np.zeros((height, width, 3), np.uint8)
-        with pytest.raises(ImageError, match=f"{width}x{height} pixels"):
+        with pytest.raises(ImageError, match=rf"shape \[{height}, {width}, 3\]"):
             localizer.localize(images[0], empty)
-        with pytest.raises(ImageError, match=f"{width}x{height} pixels"):
+        with pytest.raises(ImageError, match=rf"shape \[{height}, {width}, 3\]"):
             localizer.localize(empty, images[1])
 
 
@@ -224,7 +182,7 @@ def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localize
     grid = localizer.localize(*images, refine="none")
     mean = localizer.localize(*images, refine="mean")
     poses = grid.grid.poses()
-    some = near(grid.pose, poses, grid.grid)
+    some = within_reach(grid.pose, poses, grid.grid)
     weights = grid.probabilities.ravel()[some]
     expected = weights @ poses[some, :2] / weights.sum()
     np.testing.assert_allclose(mean.pose[:2], expected, atol=1e-12)
@@ -248,7 +206,7 @@ def test_modes_come_best_first_and_apart(localizer, refine):
             assert scores == sorted(scores, reverse=True)
         poses = np.array([mode.pose for mode in estimate.modes])
         for m, pose in enumerate(poses):
-            assert not near(pose, np.delete(poses, m, axis=0), estimate.grid).any()
+            assert not within_reach(pose, np.delete(poses, m, axis=0), estimate.grid).any()
 
 
 @pytest.mark.parametrize("caller", [torch.no_grad, torch.inference_mode])
@@ -357,227 +315,35 @@ def test_offsets_in_metres_and_on_the_globe():
         estimate.as_dict(centre=(52.0, 4.0))
 
 
-def test_an_evaluation_writes_everything(run, cache, vigor, tmp_path):
-    evaluation, folder = evaluate(run, cache=cache, device="cpu", refine="none")
-    assert folder == run / "evaluation" / "same-area_test_4x5x8_best"
-    assert {path.name for path in folder.iterdir()} == {
-        "result.json", "samples.csv", "errors.png", "best.png", "median.png", "worst.png",
-        "bad_samples.jsonl",
-    }  # fmt: skip
-    with (folder / "samples.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    result = json.loads((folder / "result.json").read_text())
-    assert [row["name"] for row in rows] == [s["name"] for s in result["per_sample"]]
-    assert len(rows) == 5
-    assert (folder / "bad_samples.jsonl").read_text() == ""
-    for n, (row, sample) in enumerate(zip(rows, result["per_sample"], strict=True)):
-        _, _, d0, d1 = vigor.labels["Chicago"][n]
-        assert float(row["true_u"]) == sample["true_u"] == 0.5 - d1 / 640
-        assert float(row["true_v"]) == sample["true_v"] == 0.5 + d0 / 640
-        du, dv = (float(row[axis]) - float(row[f"true_{axis}"]) for axis in "uv")
-        metres = np.hypot(du, dv) * 0.111262 * 640
-        assert float(row["error_place_m"]) == pytest.approx(metres)
-    errors = [sample["error_place_m"] for sample in result["per_sample"]]
-    assert result["errors"]["place_mean_m"] == pytest.approx(np.mean(errors))
-    assert result["floor"]["place_mean_m"] <= result["errors"]["place_mean_m"]
-    assert len({sample["true_heading_deg"] for sample in result["per_sample"]}) > 1
-
-    report = evaluation.report()
-    assert "floor of the grid" in report
-    assert f"{result['floor']['place_median_m']:.2f} m" in report
-
-    with pytest.raises(RunError, match="holds results already"):
-        evaluate(run, cache=cache, device="cpu", refine="none")
-    again, _ = evaluate(run, cache=cache, device="cpu", overwrite=True, refine="none")
-    np.testing.assert_array_equal(again.truths, evaluation.truths)
-    np.testing.assert_array_equal(again.estimates, evaluation.estimates)
-
-
-def test_a_refined_evaluation_is_what_localising_gives(run, cache, vigor):
-    evaluation, folder = evaluate(run, cache=cache, device="cpu", refine="fine")
-    assert folder == run / "evaluation" / "same-area_test_4x5x8_best_fine"
-    result = json.loads((folder / "result.json").read_text())
-    assert (result["refine"], result["calibrated"], result["temperature"]) == ("fine", False, 0.1)
-    assert "refine fine" in evaluation.report()
-    assert "temperature 0.1 (not fitted to these candidates)" in evaluation.report()
-    grid = PoseGrid.parse("4x5x8").poses()
-    assert not (evaluation.estimates[:, None] == grid).all(axis=2).any()
-
-    # The floor is still that of the grid; calibration is that of the samples.
-    unrefined, _ = evaluate(run, cache=cache, device="cpu", refine="none", overwrite=True)
-    assert result["floor"] == unrefined.floor.summary()
-    assert (evaluation.scores >= unrefined.scores).all()
-    samples, sure = result["per_sample"], result["calibration"]
-    assert sure["mean_probability"] == pytest.approx(np.mean([s["probability"] for s in samples]))
-    assert sure["share_near"] == np.mean([s["near"] for s in samples])
-    assert sure["share_in_region"] == np.mean([s["in_region"] for s in samples])
-    for sample in samples:
-        metres = 0.1 * 0.111262 * 640
-        close = sample["error_place_m"] <= 1.5 / 4 * 10 * metres
-        assert sample["near"] == (close and sample["error_heading_deg"] <= 1.5 * 45)
-
-
-def test_an_evaluation_says_in_which_precision_it_was(run, cache):
-    evaluation, folder = evaluate(run, limit=2, cache=cache, device="cpu", precision="bf16-mixed")
-    assert folder.name == "same-area_test_4x5x8_best_mean_bf16-mixed_2"
-    assert json.loads((folder / "result.json").read_text())["precision"] == "bf16-mixed"
-    assert "refine mean, encoders bf16-mixed" in evaluation.report()
-
-
-def test_an_evaluation_of_some_samples_takes_them_from_all_over(run, cache):
-    whole, _ = evaluate(run, cache=cache, device="cpu", overwrite=True, refine="none")
-    some, folder = evaluate(run, limit=3, cache=cache, device="cpu", refine="none")
-    assert folder.name == "same-area_test_4x5x8_best_3"
-    assert some.names == whole.names[::2]
-    np.testing.assert_array_equal(some.estimates, whole.estimates[::2])
-    assert len(evaluate(run, limit=99, cache=cache, device="cpu")[0].names) == 5
-    with pytest.raises(ConfigError, match="limit is 0; it must be at least 1"):
-        evaluate(run, limit=0, cache=cache, device="cpu")
-    with pytest.raises(ConfigError, match="workers is -1; it must be at least 0"):
-        evaluate("nowhere", workers=-1)
-
-
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
-@pytest.mark.parametrize("workers", [0, 1])
-def test_an_evaluation_that_fails_leaves_what_was_there(
-    slicemask, run, cache, vigor, tmp_path, workers
-):
-    out, root = tmp_path / "out", shutil.copytree(vigor.root, tmp_path / "vigor")
-    assert slicemask("evaluate", "--out", out).exit_code == 0
-    before = contents(out)
-    broken = sorted((root / "Chicago" / "satellite").iterdir())
-    for path in broken:
-        path.unlink()
-    options = ["--root", root, "--workers", workers]
-    for folder in (out, tmp_path / "new"):
-        result = slicemask("evaluate", *options, "--out", folder, "--overwrite")
-        assert result.exit_code == 1
-        (line,) = result.stderr.splitlines()
-        assert "none of the 5 samples can be read" in line
-        assert sum(str(path) in line for path in broken) == 1
-    assert contents(out) == before
-    assert not (tmp_path / "new").exists()
-
-
-def test_more_bad_samples_than_the_run_bears(run, cache, vigor, tmp_path):
-    few = shutil.copytree(run, tmp_path / "run")
-    config = (few / "config.yaml").read_text()
-    (few / "config.yaml").write_text(config.replace("max_bad_samples: 10", "max_bad_samples: 1"))
-    root = shutil.copytree(vigor.root, tmp_path / "vigor")
-    for path in sorted((root / "Chicago" / "satellite").iterdir())[:2]:
-        path.write_bytes(b"no picture")
-    with pytest.raises(RunError, match="more than 1 samples are unreadable"):
-        evaluate(few, root=str(root), out=tmp_path / "out", cache=cache, device="cpu")
-    assert not (tmp_path / "out").exists()
-
-
-def test_results_that_cannot_be_written_are_refused_first(run, cache, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match="file: is not a folder; name another"):
-        evaluate(run, out=tmp_path / "file" / "out", cache=cache, device="cpu")
-
-
-def test_an_evaluation_says_what_it_left_out(run, cache, vigor, tmp_path):
-    root = shutil.copytree(vigor.root, tmp_path / "vigor")
-    broken = sorted((root / "Chicago" / "satellite").iterdir())[2]
-    broken.write_bytes(b"no picture")
-    evaluation, folder = evaluate(
-        run, root=str(root), grid="2x2x2", out=tmp_path / "out", cache=cache, device="cpu"
-    )
-    assert len(evaluation.names) == len(evaluation.estimates) == 4
-    assert "1 samples could not be read" in evaluation.report()
-    result = json.loads((folder / "result.json").read_text())
-    ((name, fault),) = result["unreadable"].items()
-    assert str(broken) in fault
-    (line,) = (folder / "bad_samples.jsonl").read_text().splitlines()
-    assert json.loads(line) == {"name": name, "error": fault}
-
-
-@pytest.fixture
-def slicemask(run, cache):
-    """Run a command on the run's banks; give its result."""
-
-    def invoke(command, *arguments):
-        arguments = [command, str(run), "--cache", str(cache), "--device", "cpu", *arguments]
-        return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-    return invoke
-
-
-def test_predict_writes_geojson_and_says_how_sure_it_is(slicemask, images, localizer, tmp_path):
-    pair = ["--ground", images[0], "--aerial", images[1]]
-    place = ["--centre", "41.8,-87.6", "--metres-per-pixel", "0.9"]
-    out = tmp_path / "pose.geojson"
-    options = [*pair, *place, "--refine", "continuous", "--geojson", out]
-    content = json.loads(slicemask("predict", *options, "--json").stdout)
-    expected = localizer.localize(*images, refine="continuous", metres_per_pixel=0.9)
-    assert content == {
-        **expected.as_dict(0.9, (41.8, -87.6)), "refine": "continuous", "calibrated": False,
-        "geojson": str(out),
-    }  # fmt: skip
-    point, area = json.loads(out.read_text())["features"]
-    assert point["geometry"]["coordinates"] == [content["longitude"], content["latitude"]]
-    assert area["geometry"]["type"] == "Polygon"
-
-    text = slicemask("predict", *options).stdout
-    assert f"latitude {content['latitude']:.7f}" in text
-    assert f"probability {content['probability']:.1%} (uncalibrated), standard dev" in text
-    assert str(out) in text.splitlines()
-    assert "of the tile east" in slicemask("predict", *pair, "--refine", "none").stdout
-
-
-PLACE = ("--centre", "1,2", "--metres-per-pixel", "1")
+def test_an_estimate_prints_as_one_line(localizer, images):
+    estimate = localizer.localize(*images)
+    u, v, heading_deg = estimate.pose
+    assert str(estimate).startswith(f"u {u:.4f}, v {v:.4f}, heading {heading_deg:.2f} degrees")
+    assert "m east" not in str(estimate)
+    placed = localizer.localize(*images, metres_per_pixel=0.9)
+    assert re.search(r"m (east|west) and .* m (north|south) of the centre; prob", str(placed))
+    assert placed.as_dict() == estimate.as_dict() | {"covariance": placed.as_dict()["covariance"]}
+    for text in (str(placed), repr(placed), repr([placed])):
+        assert "\n" not in text
+        assert "array" not in text
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("heading_prior", "place_prior", "said"),
     [
-        (["--geojson", "{0}/a.geojson"], "--geojson needs --centre and --metres-per-pixel"),
-        (["--centre", "1,2"], "--centre needs --metres-per-pixel"),
-        ([*PLACE, "--geojson", "{0}/a.txt"], "its suffix is .txt; name a file that ends in .geo"),
-        ([*PLACE, "--geojson", "{0}/no/a.json"], "there is no such folder"),
-        ([*PLACE, "--geojson", "{0}/a.json", "--out", "{0}/a.bmp"], "its suffix is .bmp"),
-        (["--centre", "95,2", "--metres-per-pixel", "1"], "the tile's centre is 95,2"),
-        (["--centre", "5,2", "--metres-per-pixel", "0"], "metres per pixel is 0.0"),
-        (["--centre", "5", "--metres-per-pixel", "1"], "'5' is not lat,lon"),
-        (["--centre", "5,2", "--metres-per-pixel", "1e300"], "it must be from 0.0001 to 1000"),
-        (["--metres-per-pixel", "1e-13"], "metres per pixel is 1e-13"),
-        (["--metres-per-pixel", "nan"], "metres per pixel is nan"),
-        (["--refine", "finest"], "'finest' is not one of"),
-        (["--truth", "0.5,0.5,0"], "--truth is drawn in the picture; it needs --out"),
-        (["--truth", "5,5,nan", "--out", "{0}/a.png"], "the truth is not finite: u=5, v=5"),
-        (["--truth", "5,5,0", "--out", "{0}/a.png"], "the truth lies outside the tile"),
+        (None, (0.5, 0.5, 20), "in shares of the tile's side, not in metres or pixels"),
+        ((0, 180), (40, 32, 100), "has a radius of 100 tile sides"),
+        ((90, 270), None, "has a half width beyond 180 degrees"),
     ],
 )
-def test_predict_says_what_it_lacks(slicemask, images, tmp_path, options, said):
-    options = [option.format(tmp_path) for option in options]
-    result = slicemask("predict", "--ground", images[0], "--aerial", images[1], *options)
-    assert result.exit_code != 0
-    assert said in result.stderr
-    assert "Traceback" not in result.output
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("device", ["meta", "mps", "xpu", "cuda:99", "abacus"])
-@pytest.mark.parametrize("command", ["predict", "evaluate", "benchmark"])
-def test_devices_that_cannot_be(slicemask, images, command, device):
-    pair = ["--ground", images[0], "--aerial", images[1]] if command == "predict" else []
-    result = slicemask(command, *pair, "--device", device)
-    assert result.exit_code == 1
-    (line,) = result.stderr.splitlines()
-    assert line.startswith(f"Error: device '{device}' cannot be used")
-
-
-@pytest.mark.parametrize("command", ["predict", "evaluate"])
-def test_the_commands_default_is_the_librarys(command):
-    text = " ".join(CliRunner().invoke(main, [command, "--help"]).stdout.split())
-    assert f"then gradients. [default: {DEFAULT}]" in text
-
-
-def test_calibrating_a_run_without_a_validation_part(slicemask, run):
-    result = CliRunner().invoke(main, ["calibrate", str(run)])
-    assert result.exit_code == 1
-    assert "was trained with validation_fraction 0" in result.stderr
+def test_priors_that_are_almost_surely_slips(
+    run, cache, images, caplog, heading_prior, place_prior, said
+):
+    localizer = Localizer.load(run, cache=cache, device="cpu")
+    for _ in range(2):
+        localizer.localize(*images, heading_prior, place_prior)
+    (record,) = caplog.records  # once, not for each image
+    assert said in record.getMessage()
+    caplog.clear()
+    localizer.localize(*images, (90, 180), (0.5, 0.5, 1.0))
+    assert not caplog.records

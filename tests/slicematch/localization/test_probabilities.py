@@ -3,20 +3,22 @@
 import numpy as np
 import pytest
 from slicematch.errors import ConfigError
-from slicematch.evaluation.metrics import nearest_candidates
-from slicematch.localization.probabilities import (
+from slicematch.evaluation.calibration import (
     Calibration,
     calibration_error,
-    covariance,
-    ellipse,
     fit_temperature,
     mean_nll,
+)
+from slicematch.evaluation.metrics import nearest_candidates
+from slicematch.localization.modes import within_reach
+from slicematch.localization.probabilities import (
+    covariance,
+    credible_region,
+    ellipse,
     mean_poses,
     mode_probabilities,
     probabilities,
-    region,
 )
-from slicematch.localization.refinement import near
 
 from slicemask import PoseGrid
 
@@ -36,7 +38,7 @@ def test_the_covariance_of_a_normal_distribution_is_found(pose):
     spread = np.array([[4e-4, 2e-4, 0.03], [2e-4, 9e-4, -0.05], [0.03, -0.05, 36.0]])
     shares = probabilities(gaussian(pose, spread), 1.0)
     poses = GRID.poses()
-    around = near(np.array(pose), poses, GRID)
+    around = within_reach(np.array(pose), poses, GRID)
     found = covariance(np.array(pose), poses[around], shares[around], GRID)
     # The cells' own width, of which the candidates' probabilities know nothing, is in it too; and
     # what lies beyond reach is not.
@@ -92,12 +94,12 @@ def test_modes_share_what_lies_between_them():
 def test_the_region_is_the_smallest_that_holds_enough():
     rng = np.random.default_rng(0)
     places = rng.dirichlet(np.full(50, 0.3)).reshape(5, 10)
-    held = region(places)
+    held = credible_region(places)
     assert places[held].sum() >= 0.95
     assert places[held].sum() - places[held].min() < 0.95
     assert places[held].min() >= places[~held].max()
-    assert region(places, 1.0).sum() == (places > 0).sum()
-    assert region([[1.0, 0.0]]).tolist() == [[True, False]]
+    assert credible_region(places, 1.0).sum() == (places > 0).sum()
+    assert credible_region([[1.0, 0.0]]).tolist() == [[True, False]]
 
 
 def test_the_ellipse_holds_its_share_and_points_the_right_way():
@@ -147,7 +149,7 @@ def test_calibration_errors():
 
     summary = Calibration(promised, held, held, promised).summary()
     assert summary["expected_error"] < 0.01
-    assert summary["share_near"] == summary["share_in_region"] == held.mean()
+    assert summary["within_reach"] == summary["coverage"] == held.mean()
 
 
 def test_the_candidate_of_a_truth():

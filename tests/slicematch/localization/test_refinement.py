@@ -7,24 +7,23 @@ import numpy as np
 import pytest
 import torch
 from slicematch.errors import ConfigError, RunError
-from slicematch.localization.refinement import (
-    DEFAULT,
+from slicematch.localization.modes import (
     MODES,
-    Domain,
-    Similarity,
-    check_refine,
-    climb,
-    coarse_to_fine,
     find_modes,
     grid_steps,
-    keep_apart,
-    near,
+    non_maximum_suppression,
+    within_reach,
+)
+from slicematch.localization.refinement import (
+    DEFAULT,
+    check_refine,
+    coarse_to_fine,
+    gradient_ascent,
     refine_modes,
 )
-from slicematch.network.aggregation import unit
-from slicematch.scoring.scores import score_masks
+from slicematch.priors import PosePrior
 
-from slicemask import Frustum, PoseGrid, slice_masks
+from slicemask import Frustum, PoseGrid
 
 FLOOR = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "refined_floor.py"))
 GRID = PoseGrid.parse("21x21x64")
@@ -52,9 +51,9 @@ def on_grid(score, grid=GRID):
     return score(torch.from_numpy(grid.poses())).reshape(grid.shape).numpy()
 
 
-def refined(score, truth, how="continuous", grid=GRID, domain=None, tile_metres=72.5):
+def refined(score, truth, how="continuous", grid=GRID, prior=None, tile_metres=72.5):
     modes, _ = find_modes(on_grid(score, grid), grid)
-    poses, scores = refine_modes(score, modes, grid, domain or Domain(), how, tile_metres)
+    poses, scores = refine_modes(score, modes, grid, prior or PosePrior(), how, tile_metres)
     return poses[0], scores[0]
 
 
@@ -132,14 +131,14 @@ def test_a_grid_that_is_fine_enough_is_left_as_it_is():
 def test_priors_are_kept_and_their_edges_reached(how):
     """The peak lies outside the prior: the answer is the point of the prior that is nearest."""
     truth, centre, radius = [0.7, 0.5, 40.0], (0.5, 0.5), 0.13
-    domain = Domain(heading_prior=(10.0, 20.0), place_prior=(*centre, radius))
+    prior = PosePrior(heading_prior=(10.0, 20.0), place_prior=(*centre, radius))
     scores = on_grid(bump(truth, (0.2, 0.2, 30.0)))
     poses = GRID.poses()
     out = np.hypot(poses[:, 0] - 0.5, poses[:, 1] - 0.5) > radius
     out |= np.abs((poses[:, 2] - 10 + 180) % 360 - 180) > 20
     scores[out.reshape(GRID.shape)] = -np.inf
     modes, _ = find_modes(scores, GRID)
-    found, _ = refine_modes(bump(truth, (0.2, 0.2, 30.0)), modes, GRID, domain, how, 72.5)
+    found, _ = refine_modes(bump(truth, (0.2, 0.2, 30.0)), modes, GRID, prior, how, 72.5)
     assert (np.hypot(*(found[:, :2] - centre).T) <= radius + 1e-12).all()
     turn = np.abs((found[:, 2] - 10 + 180) % 360 - 180)
     assert (turn <= 20 + 1e-9).all()
@@ -151,21 +150,21 @@ def test_a_known_heading_stays():
     pose, _ = refined(bump([0.41, 0.43, 9.0]), None, grid=grid)
     assert pose[2] == 0.0
     np.testing.assert_allclose(pose[:2], [0.41, 0.43], atol=1e-4)
-    domain = Domain(heading_prior=(90.0, 0.0))
+    prior = PosePrior(heading_prior=(90.0, 0.0))
     poses = torch.tensor([[0.5, 0.5, 123.0], [0.5, 0.5, -10.0]], dtype=torch.float64)
-    assert domain.project(poses)[:, 2].tolist() == [90.0, 90.0]
+    assert prior.project(poses)[:, 2].tolist() == [90.0, 90.0]
 
 
 def test_projection_wraps_headings_and_keeps_gradients():
     poses = torch.tensor(
         [[0.5, 0.5, -1e-20], [1.2, -0.1, 725.0], [0.3, 0.3, 360.0]], dtype=torch.float64
     ).requires_grad_()
-    inside = Domain().project(poses)
+    inside = PosePrior().project(poses)
     assert inside.tolist() == [[0.5, 0.5, 0.0], [1.0, 0.0, 5.0], [0.3, 0.3, 0.0]]
-    domain = Domain((0.2, 0.2, 0.8, 0.8), (0.0, 30.0), (0.5, 0.5, 0.1))
+    prior = PosePrior((0.2, 0.2, 0.8, 0.8), (0.0, 30.0), (0.5, 0.5, 0.1))
     start = torch.tensor([[0.5, 0.5, 20.0], [0.7, 0.6, 20.0]], dtype=torch.float64)
     start.requires_grad_()
-    (gradient,) = torch.autograd.grad(domain.project(start).sum(), start)
+    (gradient,) = torch.autograd.grad(prior.project(start).sum(), start)
     assert torch.isfinite(gradient).all()
     assert gradient[0].tolist() == [1.0, 1.0, 1.0]
 
@@ -176,11 +175,11 @@ def test_projection_wraps_headings_and_keeps_gradients():
 def test_a_place_lies_in_the_extent_and_the_prior_wherever_its_centre_is(prior):
     rng = np.random.default_rng(0)
     poses = torch.from_numpy(rng.uniform(-0.5, 1.5, (500, 3))).requires_grad_()
-    inside = Domain(place_prior=prior).project(poses)
+    inside = PosePrior(place_prior=prior).project(poses)
     assert ((inside[:, :2] >= 0) & (inside[:, :2] <= 1)).all()
     away = inside[:, :2].detach().numpy() - prior[:2]
     assert (np.hypot(*away.T) <= prior[2] + 1e-12).all()
-    again = Domain(place_prior=prior).project(inside)
+    again = PosePrior(place_prior=prior).project(inside)
     torch.testing.assert_close(again, inside, rtol=0, atol=1e-12)
     (gradient,) = torch.autograd.grad(inside.sum(), poses)
     assert torch.isfinite(gradient).all()
@@ -211,9 +210,9 @@ def test_modes_are_peaks_apart_from_each_other():
     best = np.unravel_index(scores.argmax(), scores.shape)
     np.testing.assert_array_equal(modes[0], GRID.poses()[GRID.index(*map(int, best))])
     assert values[0] == scores.max()
-    assert near(np.array(other), modes[1:2], GRID)[0]
+    assert within_reach(np.array(other), modes[1:2], GRID)[0]
     for m, mode in enumerate(modes):
-        assert not near(mode, np.delete(modes, m, axis=0), GRID).any()
+        assert not within_reach(mode, np.delete(modes, m, axis=0), GRID).any()
 
 
 def test_of_equal_scores_the_first_candidate_comes_first():
@@ -244,9 +243,9 @@ def test_a_second_mode_that_is_better_between_candidates_wins():
         return torch.maximum(bump(sharp, (0.02, 0.02, 4.0))(poses), 0.9 * bump(broad)(poses))
 
     scores = on_grid(score)
-    assert near(np.array(broad), find_modes(scores, GRID)[0], GRID)[0]
+    assert within_reach(np.array(broad), find_modes(scores, GRID)[0], GRID)[0]
     pose, value = refined(score, sharp, "fine")
-    assert near(np.array(sharp), pose[None], GRID)[0]
+    assert within_reach(np.array(sharp), pose[None], GRID)[0]
     assert value > 0.95
 
 
@@ -264,15 +263,15 @@ def test_no_answer_scores_below_its_start():
     modes, values = map(torch.from_numpy, find_modes(on_grid(rough), GRID))
     assert len(modes) == MODES
     finest = np.array([0.25 / 72.5, 0.25 / 72.5, 0.5])
-    fine, fine_values = coarse_to_fine(rough, modes, values, STEPS, finest, Domain())
+    fine, fine_values = coarse_to_fine(rough, modes, values, STEPS, finest, PosePrior())
     assert (fine_values > values).all()
     np.testing.assert_allclose(rough(fine), fine_values)
     for pose, value in zip(fine, fine_values, strict=True):
-        reached, top = climb(rough, pose, finest, Domain())
+        reached, top = gradient_ascent(rough, pose, finest, PosePrior())
         assert top > value
         assert rough(reached[None]).item() == pytest.approx(top)
-    _, answer = refine_modes(rough, modes.numpy(), GRID, Domain(), "fine", 72.5)
-    _, best = refine_modes(rough, modes.numpy(), GRID, Domain(), "continuous", 72.5)
+    _, answer = refine_modes(rough, modes.numpy(), GRID, PosePrior(), "fine", 72.5)
+    _, best = refine_modes(rough, modes.numpy(), GRID, PosePrior(), "continuous", 72.5)
     assert answer[0] == fine_values.max()
     assert best[0] > answer[0]
 
@@ -283,18 +282,18 @@ def test_refined_modes_that_meet_are_one_answer(how):
     grid = PoseGrid(1, 7, 1)
     truth = [0.5, 0.5, 0.0]
     modes = np.array([[grid.u[column], 0.5, 0.0] for column in (2, 4)])
-    assert not near(modes[0], modes[1:], grid).any()
-    poses, scores = refine_modes(bump(truth), modes, grid, Domain(), how)
+    assert not within_reach(modes[0], modes[1:], grid).any()
+    poses, scores = refine_modes(bump(truth), modes, grid, PosePrior(), how)
     assert len(poses) == len(scores) == 1
     assert scores[0] > bump(truth)(torch.from_numpy(modes)).max()
 
 
 def test_of_poses_within_reach_the_better_one_is_kept():
     poses = np.array([[0.2, 0.2, 10], [0.8, 0.8, 0], [0.25, 0.2, 350], [0.2, 0.2, 90]], float)
-    kept, scores = keep_apart(poses, np.array([0.5, 0.7, 0.6, 0.4]), GRID)
+    kept, scores = non_maximum_suppression(poses, np.array([0.5, 0.7, 0.6, 0.4]), GRID)
     assert kept.tolist() == poses[[1, 2, 3]].tolist()
     assert scores.tolist() == [0.7, 0.6, 0.4]
-    assert len(keep_apart(poses, np.array([0.5, 0.7, 0.6, 0.4]), GRID, most=2)[0]) == 2
+    assert len(non_maximum_suppression(poses, np.array([0.5, 0.7, 0.6, 0.4]), GRID, most=2)[0]) == 2
 
 
 def test_a_flat_score_moves_nothing():
@@ -302,9 +301,9 @@ def test_a_flat_score_moves_nothing():
         return poses.sum(dim=1) * 0.0
 
     start = torch.tensor([[0.31, 0.52, 47.0]], dtype=torch.float64)
-    poses, _ = coarse_to_fine(flat, start, flat(start), STEPS, STEPS / 8, Domain())
+    poses, _ = coarse_to_fine(flat, start, flat(start), STEPS, STEPS / 8, PosePrior())
     assert torch.equal(poses, start)
-    assert climb(flat, start[0], STEPS, Domain())[0].tolist() == start[0].tolist()
+    assert gradient_ascent(flat, start[0], STEPS, PosePrior())[0].tolist() == start[0].tolist()
 
 
 def test_steps_of_grids():
@@ -317,34 +316,3 @@ def test_names_of_refinements():
     assert check_refine(DEFAULT) == DEFAULT
     with pytest.raises(ConfigError, match="one of none, mean, fine, continuous"):
         check_refine("finest")
-
-
-# The score off the grid.
-
-
-@pytest.mark.parametrize(
-    "frustum", [Frustum(360, 8), Frustum(81.5, 5, "pinhole"), Frustum(90, 4), Frustum(360, 1)]
-)
-def test_the_similarity_is_that_of_dense_masks(frustum):
-    generator = torch.Generator().manual_seed(0)
-    ground = unit(torch.randn(1, frustum.slices, 7, generator=generator))
-    features = torch.randn(1, 7, 6, 6, generator=generator)
-    attention = torch.rand(1, frustum.slices, 6, 6, generator=generator)
-    similarity = Similarity(ground[0], features[0], attention[0], frustum)
-    rng = np.random.default_rng(0)
-    poses = np.column_stack([rng.random((40, 2)), rng.uniform(0, 360, 40)])
-    # At the corner, looking out of the tile, there is nothing to see.
-    poses[:2] = [[1.0, 1.0, 135.0], [0.0, 0.0, 315.0]]
-    masks = torch.from_numpy(slice_masks(poses, frustum, 6, "rays"))
-    expected = score_masks(ground, features, attention, masks[None])[0]
-    tensor = torch.from_numpy(poses).requires_grad_()
-    found = similarity(tensor)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
-    if frustum.hfov_deg <= 90:
-        assert found[:2].tolist() == [0.0, 0.0]
-
-    (gradient,) = torch.autograd.grad(found[2:].sum(), tensor)
-    other = torch.from_numpy(poses[2:]).requires_grad_()
-    dense = slice_masks(other, frustum, 6, "rays")
-    score_masks(ground, features, attention, dense[None])[0].sum().backward()
-    torch.testing.assert_close(gradient[2:], other.grad, rtol=1e-3, atol=1e-4)

@@ -107,6 +107,9 @@ def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, ca
     assert (content["samples"], content["grid"], content["checkpoint"]) == (2, "4x4x8", "best")
     assert content["nll"] <= content["nll_of_tau"]
     assert Localizer.load(run, cache=cache).temperature == content["temperature"]
+    assert content["caution"].startswith("fitted to only 2 validation samples")
+    result = CliRunner().invoke(main, ["calibrate", str(run), "--cache", str(cache)])
+    assert "caution: fitted to only 2 validation samples" in result.stdout
     # Fitted again later it is the same, to another grid another one.
     (run / "calibration.json").unlink()
     assert calibrate(run, cache=cache) == content

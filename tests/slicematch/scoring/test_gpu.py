@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
-from slicematch.localization.refinement import Similarity
 from slicematch.network.aggregation import unit
 from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.off_grid import PairScorer
 from slicematch.scoring.pooling import _has_kernel
 from slicematch.scoring.scores import score_candidates
 
@@ -97,7 +97,7 @@ def test_scoring_does_not_wait(frustum, pair, tmp_path):
 def test_scores_off_the_grid(frustum, pair):
     poses = torch.tensor([[0.4, 0.6, 30.0], [0.41, 0.6, 31.0]], dtype=torch.float64)
     scores = [
-        Similarity(*(x[0].to(device) for x in pair), frustum)(poses).cpu()
+        PairScorer(*(x[0].to(device) for x in pair), frustum)(poses).cpu()
         for device in ("cpu", "cuda")
     ]
     torch.testing.assert_close(*scores, rtol=1e-4, atol=1e-6)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import torch
-from slicematch.localization.refinement import Domain, grid_steps
+from slicematch.localization.modes import grid_steps
+from slicematch.priors import PosePrior
 from slicematch.scoring.scores import score_candidates, score_masks
 from slicematch.training.negatives import OFFSETS, jittered_candidates, near_poses
 
@@ -16,7 +17,7 @@ def turn(difference_deg):
 
 
 def test_a_jittered_grid_is_the_grid_moved_within_a_cell():
-    jittered = jittered_candidates(GRID.poses(), GRID, Domain(), Frustum(360, 4), 4, seed=0)
+    jittered = jittered_candidates(GRID.poses(), GRID, PosePrior(), Frustum(360, 4), 4, seed=0)
     assert len(jittered) == OFFSETS
     offsets = []
     for candidates in jittered:
@@ -27,15 +28,15 @@ def test_a_jittered_grid_is_the_grid_moved_within_a_cell():
         assert ((candidates.poses[:, :2] >= 0) & (candidates.poses[:, :2] <= 1)).all()
         offsets.append(away[0])
     assert len(np.unique(np.round(offsets, 9), axis=0)) == OFFSETS
-    again = jittered_candidates(GRID.poses(), GRID, Domain(), Frustum(360, 4), 4, seed=0)
-    other = jittered_candidates(GRID.poses(), GRID, Domain(), Frustum(360, 4), 4, seed=1)
+    again = jittered_candidates(GRID.poses(), GRID, PosePrior(), Frustum(360, 4), 4, seed=0)
+    other = jittered_candidates(GRID.poses(), GRID, PosePrior(), Frustum(360, 4), 4, seed=1)
     np.testing.assert_array_equal(jittered[3].poses, again[3].poses)
     assert (jittered[3].poses != other[3].poses).any()
 
 
 def test_jittered_candidates_have_their_own_masks():
     frustum = Frustum(360, 4)
-    candidates = jittered_candidates(GRID.poses(), GRID, Domain(), frustum, 4, seed=0)[5]
+    candidates = jittered_candidates(GRID.poses(), GRID, PosePrior(), frustum, 4, seed=0)[5]
     generator = torch.Generator().manual_seed(0)
     ground = torch.randn(1, 4, 3, generator=generator)
     features = torch.randn(1, 3, 4, 4, generator=generator)
@@ -53,13 +54,13 @@ def test_known_and_bounded_headings_are_kept():
         heading = 90.0 if prior else 0.0
         poses = grid.poses()[grid.poses()[:, 2] == heading]
         for candidates in jittered_candidates(
-            poses, grid, Domain(heading_prior=prior), frustum, 4, seed=0
+            poses, grid, PosePrior(heading_prior=prior), frustum, 4, seed=0
         ):
             assert (candidates.poses[:, 2] == heading).all()
     poses = GRID.poses()[GRID.poses()[:, 2] == 0.0]
-    domain = Domain(heading_prior=(0.0, 10.0))
+    prior = PosePrior(heading_prior=(0.0, 10.0))
     turns = [
-        turn(some.poses[0, 2]) for some in jittered_candidates(poses, GRID, domain, frustum, 4, 0)
+        turn(some.poses[0, 2]) for some in jittered_candidates(poses, GRID, prior, frustum, 4, 0)
     ]
     assert max(np.abs(turns)) <= 10 + 1e-9
     assert min(turns) < 0 < max(turns)
@@ -67,7 +68,7 @@ def test_known_and_bounded_headings_are_kept():
 
 def test_near_poses_lie_within_a_step_of_the_truth_and_in_the_domain():
     truths = torch.tensor([[0.5, 0.5, 1.0], [0.0, 1.0, 180.0]], dtype=torch.float64)
-    poses = near_poses(truths, 500, GRID, Domain())
+    poses = near_poses(truths, 500, GRID, PosePrior())
     assert poses.shape == (2, 500, 3)
     assert ((poses[..., :2] >= 0) & (poses[..., :2] <= 1)).all()
     away = (poses - truths[:, None]).numpy()
@@ -76,7 +77,7 @@ def test_near_poses_lie_within_a_step_of_the_truth_and_in_the_domain():
     assert (np.abs(away) <= steps + 1e-9).all()
     assert (np.abs(away[0]).max(axis=0) > 0.95 * steps).all()
 
-    prior = Domain(heading_prior=(0.0, 0.0), place_prior=(0.5, 0.5, 0.1))
+    prior = PosePrior(heading_prior=(0.0, 0.0), place_prior=(0.5, 0.5, 0.1))
     poses = near_poses(truths[:1], 50, GRID, prior)[0].numpy()
     assert (poses[:, 2] == 0).all()
     assert np.hypot(*(poses[:, :2] - 0.5).T).max() <= 0.1 + 1e-9

@@ -5,7 +5,7 @@ are scored best within one grid step of the truth. (That a resumed run repeats a
 one exactly is in test_runs.py.)
 """
 
-import importlib.util
+import importlib.metadata
 import json
 import os
 import signal
@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from slicemask.cli.main import main
+from slicemask.cli.run_options import _is_installed, _model_packages
 
 SMALL = [
     "--encoder=test_resnet", "--weights=none", "--stride=8", "--batch-size=8",
@@ -95,8 +96,8 @@ def test_eight_pairs_of_vigor(make_vigor_tree, slicemask, tmp_path):
     assert (run / "heat_maps" / "epoch_0040.png").stat().st_size > 10_000
     result = json.loads(slicemask("evaluate", run, "--json"))
     check_eight_of_eight(result, (1 / 7, 1 / 7, 360 / 16))
-    # A random guess is 20 m off; the grid's floor is below 4 m.
-    assert result["errors"]["place_mean_m"] < result["floor"]["place_mean_m"] + 2
+    # A random guess is 20 m off; the oracle among the candidates is below 4 m.
+    assert result["errors"]["place_mean_m"] < result["oracle"]["place_mean_m"] + 2
 
     panorama, tile, d0, d1 = tree.labels["Chicago"][3]
     picture = tmp_path / "overlay.png"
@@ -151,13 +152,25 @@ def test_the_commands_say_in_a_sentence_what_is_wrong(tmp_path, arguments, said)
 
 
 def test_without_torch_the_commands_say_what_to_install(monkeypatch):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "torch" else find(name)
-    )
+    find = importlib.metadata.distribution
+
+    def found(name):
+        if name == "torch":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return find(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", found)
     result = CliRunner().invoke(main, ["evaluate", "run"])
     assert result.exit_code == 1
     assert "this command needs torch; install: pip install 'slicemask[model]'" in result.stderr
+
+
+def test_what_the_model_needs_is_what_the_package_says():
+    packages = _model_packages()
+    assert {"torch", "timm", "lightning", "pyproj", "safetensors", "pyyaml"} <= {*packages}
+    assert not {"numpy", "pytest", "trimesh"} & {*packages}
+    assert all(map(_is_installed, packages))
+    assert not _is_installed("no-such-package-of-anyone")
 
 
 def test_two_devices(make_vigor_tree, slicemask, tmp_path):

@@ -1,0 +1,45 @@
+"""The samples of a data set that are evaluated."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from torch.utils.data import Dataset
+
+from slicematch.data.dataset import PoseDataset, Sample
+
+
+def evenly_spaced_indices(count: int, limit: int | None) -> list[int]:
+    """At most `limit` of the numbers 0 to count - 1, evenly spaced; all of them without a limit.
+
+    Examples
+    --------
+    >>> evenly_spaced_indices(5, 3)
+    [0, 2, 4]
+    """
+    some = count if limit is None else min(limit, count)
+    indices: list[int] = np.linspace(0, count - 1, some).round().astype(int).tolist()
+    return indices
+
+
+class ChosenSamples(Dataset[Sample | None]):
+    """Some samples of a data set, each itself or None: no other stands in for an unreadable one.
+
+    Parameters
+    ----------
+    dataset : PoseDataset
+        Of any part. In the training part another sample stands in for an unreadable one, which
+        would count twice here.
+    indices : sequence of int
+        Places in the data set's list.
+    """
+
+    def __init__(self, dataset: PoseDataset, indices: Sequence[int]) -> None:
+        self.dataset = dataset
+        self.indices = indices
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, number: int) -> Sample | None:
+        sample = self.dataset[self.indices[number]]
+        return sample if sample is None or sample["index"] == self.indices[number] else None

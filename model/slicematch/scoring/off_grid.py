@@ -1,0 +1,76 @@
+"""Scores of any poses for one pair of images, on or off a grid of candidates."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from slicemask import Frustum, slice_masks
+from slicematch.network.aggregation import LEAST_AREA, unit
+from slicematch.scoring.scores import cosine
+
+
+@dataclass(frozen=True)
+class PairScorer:
+    """The score of any poses for one pair of images, differentiable in the poses.
+
+    Equal to `slicematch.scoring.scores.score_masks`. The poses of a call should lie near each
+    other: a slice is then pooled over the few cells that any of them needs.
+
+    Shapes: C channels, N slices, B bands of range (1 where there are none), L x L aerial cells.
+
+    Parameters
+    ----------
+    ground : float [N * B, C]
+        d_g^{n,b}, slice by slice.
+    features : float [C, L, L]
+        z_a.
+    attention : float [N * B, L, L] or [1, L, L]
+        M_a^{n,b}, or the map that all slices and bands share.
+    frustum : Frustum
+        Of the ground image, with its bands.
+    """
+
+    ground: Tensor
+    features: Tensor
+    attention: Tensor
+    frustum: Frustum
+
+    def __post_init__(self) -> None:
+        # Tensors made in inference mode take no part in gradients; copies made outside it do.
+        with torch.inference_mode(False):
+            for name in ("ground", "features", "attention"):
+                tensor = getattr(self, name)
+                if tensor.is_inference():
+                    object.__setattr__(self, name, tensor.clone())
+
+    def __call__(self, poses: Tensor) -> Tensor:
+        """Score poses.
+
+        Parameters
+        ----------
+        poses : float64 [K, 3]
+            u, v in [0, 1] of the aerial frame and heading_deg.
+
+        Returns
+        -------
+        scores : float [K]
+            In [-1, 1]; 0 for a pose whose slices all miss the tile.
+        """
+        device, cells = self.features.device, self.features.shape[-1]
+        with torch.autocast(device.type, enabled=False):
+            ground = self.ground.float()
+            masks = slice_masks(poses.to(device), self.frustum, cells, engine="rays")
+            masks = masks.flatten(1, -3).flatten(2).float()  # [K, N * B, L * L]
+            columns = self.features.flatten(1).T  # [L * L, C]
+            attention = self.attention.flatten(1).expand(len(ground), -1)
+            dots, present = ground.new_zeros(len(poses)), ground.new_zeros(len(poses))
+            for part, seen in enumerate((masks.detach() > 0).any(dim=0)):
+                some = seen.nonzero()[:, 0]
+                taken = masks[:, part, some]
+                sums = (taken * attention[part, some].float()) @ columns[some].float()
+                areas = taken.sum(dim=1, keepdim=True).clamp_min(LEAST_AREA)
+                descriptors = unit(sums / areas)  # d_a^{k,n,b}, [K, C]
+                dots = dots + descriptors @ ground[part]
+                present = present + (descriptors.detach() != 0).any(dim=1)
+            return cosine(dots, present, ground.flatten())
