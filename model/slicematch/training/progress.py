@@ -5,13 +5,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from slicemask.progress import SECONDS_BETWEEN_LINES, readable_time
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 
 import lightning.pytorch as lightning  # isort: skip
 
 log = logging.getLogger(__name__)
-
-SECONDS_BETWEEN_LINES = 30.0
 
 
 class ProgressLines(lightning.Callback):
@@ -100,47 +99,6 @@ class ProgressLines(lightning.Callback):
         if rest <= 0:
             return ""
         return readable_time((self._clock() - self._start) / done * rest)
-
-
-class LogProgress:
-    """Logs how far something is, about every 30 seconds; called with how many are done of all.
-
-    Parameters
-    ----------
-    what, unit : str
-        What is being done, and to what, such as "calibrating" and "samples".
-    clock : callable
-        Gives seconds.
-    """
-
-    def __init__(self, what: str, unit: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self._what = what
-        self._unit = unit
-        self._clock = clock
-        self._start = self._said = clock()
-
-    def __call__(self, done: int, total: int) -> None:
-        """Say it, if it is time again."""
-        now = self._clock()
-        if now - self._said < SECONDS_BETWEEN_LINES or not 0 < done < total:
-            return
-        self._said = now
-        left = readable_time((now - self._start) / done * (total - done))
-        text = f"{self._what}: {done:,} of {total:,} {self._unit}, about {left} left"
-        log.info(text)
-
-
-def readable_time(seconds: float) -> str:
-    """A time as people read it.
-
-    Examples
-    --------
-    >>> readable_time(45), readable_time(700), readable_time(12_600)
-    ('45 s', '12 min', '3.5 h')
-    """
-    if seconds < 99.5:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 99.5 * 60 else f"{seconds / 3600:.1f} h"
 
 
 def _epoch(trainer: lightning.Trainer) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from slicemask import PoseGrid, build_bank
 from slicemask.files import check_folder
+from slicemask.progress import TimedLines
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.errors import ConfigError, RunError
@@ -28,7 +29,7 @@ from slicematch.scoring.candidates import Candidates
 from slicematch.training.callbacks import make_callbacks
 from slicematch.training.loaders import PoseDataModule
 from slicematch.training.module import TrainingModule
-from slicematch.training.progress import LogProgress, ProgressLines
+from slicematch.training.progress import ProgressLines
 from slicematch.training.trainer import make_trainer
 
 import lightning.pytorch as lightning  # isort: skip
@@ -164,7 +165,10 @@ def train(
         if validation is not None:
             device = "cpu" if config.accelerator == "cpu" else "auto"
             calibrate(
-                run.path, device=device, cache=cache, progress=LogProgress("calibrating", "samples")
+                run.path,
+                device=device,
+                cache=cache,
+                progress=TimedLines("calibrating", "samples", log.info),
             )
     return run.path
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 import torch
-from slicematch.training.progress import LogProgress, ProgressLines
+from slicematch.training.progress import ProgressLines
 from torch.utils.data import DataLoader
 
 from slicemask.cli.messages import messages_on_stderr
@@ -87,20 +87,6 @@ def test_a_resumed_run_counts_the_time_of_its_own_epochs(caplog, tmp_path):
         "epoch 3 of 4: train/loss 0.5; about 20 s left",
         "epoch 4 of 4: train/loss 0.5",
     ]
-
-
-def test_progress_of_other_work(caplog):
-    caplog.set_level("INFO", "slicematch.training")
-    clock = Clock()
-    progress = LogProgress("calibrating", "samples", clock)
-    for done in range(0, 2001, 100):
-        progress(done, 2000)
-        clock.now += 10
-    assert [record.getMessage() for record in caplog.records][:2] == [
-        "calibrating: 300 of 2,000 samples, about 3 min left",
-        "calibrating: 600 of 2,000 samples, about 2 min left",
-    ]
-    assert len(caplog.records) == 6
 
 
 def test_messages_stand_on_stderr_once(capsys):
