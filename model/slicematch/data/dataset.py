@@ -190,7 +190,7 @@ class PoseDataset(Dataset[Sample | None]):
         self._symmetries = [symmetry for symmetry in SYMMETRIES if _keeps(symmetry, config)]
         # In shared memory: workers that live on from epoch to epoch see the change.
         self._epoch = torch.zeros((), dtype=torch.int64)
-        self._epoch.share_memory_()  # type: ignore[no-untyped-call]
+        self._epoch.share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
         """Let training draw for this epoch; call it before the epoch's iterator is made."""
