@@ -34,9 +34,7 @@ def is_planar(image: Image.Image) -> bool:
     return len(bits) > 1 and max(bits) > 8 and tags.get(_PLANAR_CONFIGURATION) == 2
 
 
-def values_of_16_bits(
-    image: Image.Image, reopen: Callable[[], Image.Image]
-) -> NDArray[np.uint16]:
+def values_of_16_bits(image: Image.Image, reopen: Callable[[], Image.Image]) -> NDArray[np.uint16]:
     """Read an image of 16 bits a channel at its full depth.
 
     Pillow decodes colour images of 16 bits to their high bytes. Told that the bytes come in the

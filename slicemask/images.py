@@ -142,8 +142,10 @@ def _read_file(path: Path) -> Image.Image:
 
 def _read_pil(image: Image.Image) -> Image.Image:
     try:
-        if not has_16_bits(image):
+        if not getattr(image, "tile", None):
             image = _undecoded(image)
+        elif image.format == "TIFF":
+            image = _reopen(image)
         upright = _upright_rgb(image, lambda: _reopen(image), "the image")
     except Exception as error:
         _raise_if_known(error, "the image")
@@ -185,7 +187,11 @@ def _open(file: Path | BytesIO) -> Image.Image:
     with warnings.catch_warnings():
         # The size is checked by `_upright_rgb`, before anything is decoded.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        return Image.open(file, formats=FORMATS)
+        image = Image.open(file, formats=FORMATS)
+    # Without a name, Pillow does not map the file into memory, which scrambles a TIFF that its
+    # orientation turns by 90 degrees.
+    image.filename = ""  # type: ignore[attr-defined]
+    return image
 
 
 def _reopen(image: Image.Image) -> Image.Image:
@@ -204,9 +210,7 @@ def _undecoded(image: Image.Image) -> Image.Image:
     Else the image itself: of colours of 16 bits, decoding keeps the high bytes alone.
     """
     path = getattr(image, "filename", "")
-    if image.format not in ("PNG", "TIFF") or getattr(image, "tile", None) or not path:
-        return image
-    if not Path(path).is_file():
+    if image.format not in ("PNG", "TIFF") or not path or not Path(path).is_file():
         return image
     with _open(Path(path)) as again:
         if not has_16_bits(again) or again.mode != image.mode or again.size != image.size:
