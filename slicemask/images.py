@@ -25,6 +25,7 @@ ASPECT_TOLERANCE = 0.02
 # Of 255. An image in memory with no brighter pixel was most likely cut down from 16 bits.
 _DARK = 15
 _UNREAD_MODES = {"I": "numbers with a sign or of 32 bits", "F": "floating-point numbers"}
+_XMP_TAG = 700  # of TIFF
 _RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 log = logging.getLogger(__name__)
 
@@ -223,7 +224,7 @@ def _undecoded(image: Image.Image) -> Image.Image:
 def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: str) -> Image.Image:
     """Check an image before it is decoded, and turn it into upright 8-bit RGB."""
     _check_pixels(*image.size, name)
-    xmp = image.info.get("xmp")
+    xmp = _xmp(image)
     if is_planar(image):
         raise ImageError(
             f"{name}: has 16 bits a channel and is stored band by band, which is not read; store "
@@ -240,6 +241,21 @@ def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: st
         upright = ImageOps.exif_transpose(image).convert("RGB")
     upright.info = {} if xmp is None else {"xmp": xmp}
     return upright
+
+
+def _xmp(image: Image.Image) -> bytes | str | None:
+    """The XMP data of an image, wherever this version of Pillow keeps them for its format."""
+    for key in ("xmp", "XML:com.adobe.xmp"):
+        if key in image.info:
+            found: bytes | str = image.info[key]
+            return found
+    segments: list[tuple[str, bytes]] = getattr(image, "applist", [])
+    for marker, content in segments:
+        head, _, rest = content.partition(b"\0")
+        if marker == "APP1" and head == b"http://ns.adobe.com/xap/1.0/":
+            return rest
+    tagged: bytes | None = getattr(image, "tag_v2", {}).get(_XMP_TAG)
+    return tagged
 
 
 def _check_pixels(width: int, height: int, name: str) -> None:

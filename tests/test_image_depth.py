@@ -200,7 +200,7 @@ def test_high_bytes_alone_are_warned_about(caplog, side):
 def test_bands_one_after_another_are_refused(tmp_path, order, deflated, source):
     """Pillow decodes them to noise."""
     path = write_tiff(tmp_path / "planar.tif", picture(), order, deflated, planar=True)
-    with pytest.raises(ImageError, match="is stored band by band, .*INTERLEAVE=PIXEL"):
+    with pytest.raises(ImageError, match=r"is stored band by band, .*INTERLEAVE=PIXEL"):
         read_image(SOURCES[source](path))
 
 
