@@ -17,6 +17,16 @@ _BITS_PER_SAMPLE, _PLANAR_CONFIGURATION = 258, 284
 _SATURATED = 2**16 - 1
 
 
+def upright(image: Image.Image) -> Image.Image:
+    """An image turned as its EXIF data or, of a TIFF, its tags say."""
+    if (
+        image.format == "TIFF"
+    ):  # turned by its decoder; older versions of Pillow would turn it twice
+        image.load()
+        return image
+    return ImageOps.exif_transpose(image)
+
+
 def has_16_bits(image: Image.Image) -> bool:
     """Whether an image holds 16 bits a channel, or its file does and it is not decoded yet."""
     raw = _raw_mode(image)
@@ -53,7 +63,7 @@ def values_of_16_bits(image: Image.Image, reopen: Callable[[], Image.Image]) -> 
         Red, green, blue, upright; grey three times. Alpha is left out.
     """
     if image.mode.startswith("I"):
-        grey = np.asarray(ImageOps.exif_transpose(image)).astype(np.uint16)
+        grey = np.asarray(upright(image)).astype(np.uint16)
         return np.repeat(grey[..., None], 3, axis=2)
     bands, _, order = _raw_mode(image).partition(";16")
     # "N" is the machine's own order.
@@ -130,7 +140,7 @@ def _decode_as(image: Image.Image, raw_mode: str) -> NDArray[np.uint8]:
         return tile._replace(args=args) if hasattr(tile, "_replace") else (*tile[:3], args)
 
     image.tile = [swapped(tile) for tile in image.tile]  # type: ignore[attr-defined]
-    return np.asarray(ImageOps.exif_transpose(image))
+    return np.asarray(upright(image))
 
 
 @functools.cache

@@ -10,10 +10,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from slicemask.errors import ImageError
-from slicemask.image_depth import has_16_bits, is_planar, scale_to_8_bits, values_of_16_bits
+from slicemask.image_depth import (
+    has_16_bits,
+    is_planar,
+    scale_to_8_bits,
+    upright,
+    values_of_16_bits,
+)
 from slicemask.image_formats import FORMATS, why_no_file, why_no_image
 
 Picture = str | Path | Image.Image | NDArray[Any]
@@ -147,15 +153,15 @@ def _read_pil(image: Image.Image) -> Image.Image:
             image = _undecoded(image)
         elif image.format == "TIFF":
             image = _reopen(image)
-        upright = _upright_rgb(image, lambda: _reopen(image), "the image")
+        rgb = _upright_rgb(image, lambda: _reopen(image), "the image")
     except Exception as error:
         _raise_if_known(error, "the image")
         raise ImageError(
             f"the image, a PIL image of mode {image.mode}, is unreadable ({_reason(error)}); "
             "convert it to mode RGB"
         ) from error
-    _warn_if_dark(upright)
-    return upright
+    _warn_if_dark(rgb)
+    return rgb
 
 
 def _raise_if_known(error: Exception, name: str) -> None:
@@ -231,16 +237,16 @@ def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: st
             "it pixel by pixel (gdal_translate -co INTERLEAVE=PIXEL)"
         )
     if has_16_bits(image):
-        upright = scale_to_8_bits(values_of_16_bits(image, reopen), name)
+        rgb = scale_to_8_bits(values_of_16_bits(image, reopen), name)
     elif image.mode in _UNREAD_MODES:
         raise ImageError(
             f"{name}: its pixels are of mode {image.mode}, {_UNREAD_MODES[image.mode]}, which are "
             "not read; convert it to 8 or 16 unsigned bits a channel"
         )
     else:
-        upright = ImageOps.exif_transpose(image).convert("RGB")
-    upright.info = {} if xmp is None else {"xmp": xmp}
-    return upright
+        rgb = upright(image).convert("RGB")
+    rgb.info = {} if xmp is None else {"xmp": xmp}
+    return rgb
 
 
 def _xmp(image: Image.Image) -> bytes | str | None:

@@ -71,8 +71,8 @@ class KittiConfig(DataConfig):
         lateral errors are below 1 m, and 15 columns over the whole tile would allow at most 30 %.
         """
         half_width = self.heading_half_width_deg
-        turn = math.radians(min(45.0, 180.0 if half_width is None else half_width))
-        reach_m = SHIFT_RANGE_M * (math.cos(turn) + math.sin(turn))
+        rotation = math.radians(min(45.0, 180.0 if half_width is None else half_width))
+        reach_m = SHIFT_RANGE_M * (math.cos(rotation) + math.sin(rotation))
         half = math.ceil(100 * reach_m / SPAN_M) / 100  # a hundredth, for the sake of names
         low, high = round(0.5 - half, 2), round(0.5 + half, 2)
         return low, low, high, high
@@ -251,9 +251,9 @@ def read_split(path: str | Path, with_pose: bool) -> tuple[list[str], NDArray[np
         elif len(values) != (3 if with_pose else 0):
             fault = f"{len(values)} fields follow the path"
         else:
-            for place, (field, value) in enumerate(zip(fields, values, strict=True), start=2):
+            for column, (field, value) in enumerate(zip(fields, values, strict=True), start=2):
                 if value is None or abs(value) > 1:
-                    fault = f"field {place} is {field!r}"
+                    fault = f"field {column} is {field!r}"
                     break
         if fault:
             raise DatasetError(

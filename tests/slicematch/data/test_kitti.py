@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from slicematch.data.dataset import PoseDataset
 from slicematch.data.errors import DatasetError, SampleError
@@ -16,6 +17,16 @@ from slicematch.data.kitti import (
 )
 
 SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
+# What editors and other programs make of a text of lines.
+WRITINGS = {
+    "blank lines": lambda text: ("\n\n" + text.replace("\n", "\n\n")).encode(),
+    "lines of a space": lambda text: (" \n" + text.replace("\n", "\n \n")).encode(),
+    "byte-order mark": lambda text: text.encode("utf-8-sig"),
+    "byte-order mark on a line of its own": lambda text: ("\ufeff\n" + text).encode(),
+    "CRLF": lambda text: text.replace("\n", "\r\n").encode(),
+    "tabs": lambda text: text.replace(" ", "\t").encode(),
+    "spaces at both ends": lambda text: ("  " + text.replace("\n", " \n  ")).encode(),
+}
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
@@ -334,3 +345,21 @@ def test_an_oddly_sized_image_is_named(make_kitti_tree, tmp_path, folder, size):
         open_kitti(tmp_path)[0]
     assert str(path) in str(error.value)
     assert f"{size[0]}x{size[1]} pixels" in str(error.value)
+
+
+@pytest.mark.parametrize("write", WRITINGS.values(), ids=WRITINGS)
+def test_text_files_as_editors_write_them(make_kitti_tree, tmp_path, write):
+    """Splits, oxts and calibration."""
+    make_kitti_tree(tmp_path, pairs=2)
+    parts = ("train", "test")
+    before = [open_kitti(tmp_path, part) for part in parts]
+    samples = [dataset[1] for dataset in before]
+    texts = [path for path in tmp_path.rglob("*.txt") if path.stat().st_size]
+    assert {path.parent.name for path in texts} == {tmp_path.name, "data", "2011_09_26"}
+    for path in texts:
+        path.write_bytes(write(path.read_text()))
+    for part, old, sample in zip(parts, before, samples, strict=True):
+        new = open_kitti(tmp_path, part)
+        assert (new.names, new.hfov_deg) == (old.names, old.hfov_deg)
+        assert np.array_equal(new.poses(), old.poses())
+        assert all(torch.equal(new[1][key], sample[key]) for key in ("ground", "aerial"))
