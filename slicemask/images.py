@@ -1,6 +1,5 @@
 """The one reader of images: aerial tiles, ground images, and pictures to draw on."""
 
-import errno
 import logging
 import warnings
 from collections.abc import Callable
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from slicemask.errors import ImageError
+from slicemask.errors import ImageError, is_out_of_resources
 from slicemask.image_depth import (
     has_16_bits,
     is_planar,
@@ -32,7 +31,6 @@ ASPECT_TOLERANCE = 0.02
 _DARK = 15
 _UNREAD_MODES = {"I": "numbers with a sign or of 32 bits", "F": "floating-point numbers"}
 _XMP_TAG = 700  # of TIFF
-_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 log = logging.getLogger(__name__)
 
 
@@ -166,7 +164,7 @@ def _read_pil(image: Image.Image) -> Image.Image:
 
 def _raise_if_known(error: Exception, name: str) -> None:
     """Raise what is no fault of the image's content as what it is, or in its own words."""
-    if isinstance(error, ImageError | MemoryError):
+    if isinstance(error, ImageError) or is_out_of_resources(error):
         raise error
     if isinstance(error, PermissionError):
         raise ImageError(f"{name}: permission denied; change the file's permissions") from None
@@ -175,8 +173,6 @@ def _raise_if_known(error: Exception, name: str) -> None:
             f"{name}: has more than the {MAX_PIXELS:,} pixels allowed; make the image smaller"
         ) from None
     if isinstance(error, OSError):
-        if error.errno in _RESOURCES:
-            raise error
         if "out of memory" in str(error):  # from Pillow's decoders, without a number
             raise MemoryError(f"{name}: memory ran out while it was decoded") from error
         if error.errno is not None:
@@ -197,7 +193,7 @@ def _open(file: Path | BytesIO) -> Image.Image:
         image = Image.open(file, formats=FORMATS)
     # Without a name, Pillow does not map the file into memory, which scrambles a TIFF that its
     # orientation turns by 90 degrees.
-    image.filename = ""  # type: ignore[attr-defined]
+    image.filename = ""
     return image
 
 
@@ -305,7 +301,7 @@ def _from_array(source: Any) -> Image.Image:
 
 
 def _warn_if_dark(image: Image.Image) -> None:
-    brightest = max(high for _, high in image.getextrema())
+    brightest = int(np.asarray(image).max())
     if 0 < brightest <= _DARK:
         log.warning(
             "the image is nearly black: no value exceeds %d of 255; if it had 16 bits a channel, "

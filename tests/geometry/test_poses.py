@@ -115,6 +115,13 @@ def test_tables_as_programs_write_them(tmp_path, separator, header, start):
     assert read_poses(path).tolist() == [[0.25, 0.5, 90.0], [0.1, 0.5, 350.0]]
 
 
+@pytest.mark.parametrize("other", ["a,b,c,d", "a\tb\tc\td", "note, mine"])
+def test_further_columns_may_hold_other_separators(tmp_path, other):
+    path = tmp_path / "poses.csv"
+    path.write_text(f"u;v;heading_deg;{other}\n0.25;0.5;90;x,y,z\n")
+    assert read_poses(path).tolist() == [[0.25, 0.5, 90.0]]
+
+
 @pytest.mark.parametrize(
     "array",
     [
