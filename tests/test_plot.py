@@ -220,7 +220,7 @@ def test_png_reads_back(tmp_path):
         (f"{'long' * 70}.png", "is invalid: File name too long"),
     ],
 )
-def test_a_target_that_cannot_be_is_refused(tmp_path, name, message):
+def test_a_target_that_is_invalid_is_refused(tmp_path, name, message):
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(PlotError, match=message):
         save_figure(figure_of(CENTRE, QUARTERS), tmp_path / name)
@@ -303,7 +303,7 @@ def test_an_animation_on_a_busy_tile_stays_small(tmp_path):
         ({"engine": "guess"}, SpecError, "engine is 'guess'"),
     ],
 )
-def test_an_animation_that_cannot_be_is_refused(tmp_path, change, error, message):
+def test_an_animation_that_is_invalid_is_refused(tmp_path, change, error, message):
     options = {"pose": CENTRE, "frustum": QUARTERS, "cells": 4, "path": "turn.gif", "frames": 3}
     options |= change
     options["path"] = tmp_path / options["path"]
@@ -375,7 +375,7 @@ def test_an_invalid_tile_is_refused(tmp_path, name, message):
         ({"aerial": np.zeros((8, 8, 2), np.uint8)}, ImageError, r"\[8, 8, 2\]"),
     ],
 )
-def test_a_drawing_that_cannot_be_is_refused(change, error, message):
+def test_a_drawing_that_is_invalid_is_refused(change, error, message):
     options = {"masks": np.zeros((4, 4, 4)), "pose": CENTRE, "frustum": QUARTERS} | change
     with pytest.raises(error, match=message):
         draw_pose(**options)

@@ -207,11 +207,11 @@ class VigorSource(Source):
         panorama = read_panorama(panorama_file)
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
-        turn_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
+        rotation_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
         cropped = crop_elevations(
             panorama.image, self.config.elevations, self.config.projection, self.hfov_deg
         )
-        ground = turn_panorama(cropped, turn_deg, self.config.ground_size)
+        ground = turn_panorama(cropped, rotation_deg, self.config.ground_size)
         return ground, resize(aerial, (self.config.aerial_size, self.config.aerial_size))
 
     def _heading_deg(self, index: int, random: np.random.Generator) -> float:

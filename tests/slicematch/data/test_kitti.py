@@ -40,7 +40,7 @@ def test_the_crop_spans_100_26_metres():
 
 
 @pytest.mark.parametrize(
-    ("shift_m", "turn_deg", "right_m", "up_m", "heading_deg"),
+    ("shift_m", "rotation_deg", "right_m", "up_m", "heading_deg"),
     [
         ((0, 0), 0, 0, 0, 90),
         ((20, 0), 0, 20, 0, 90),
@@ -54,14 +54,14 @@ def test_the_crop_spans_100_26_metres():
         ((0, 0), 90.00000000000001, 0, 0, 0),  # -1e-14 % 360 rounds to 360 itself
     ],
 )
-def test_the_closed_form(shift_m, turn_deg, right_m, up_m, heading_deg):
-    pose = camera_pose(np.array(shift_m, dtype=float), turn_deg)
+def test_the_closed_form(shift_m, rotation_deg, right_m, up_m, heading_deg):
+    pose = camera_pose(np.array(shift_m, dtype=float), rotation_deg)
     expected = [0.5 + right_m / SPAN_M, 0.5 - up_m / SPAN_M, heading_deg]
     assert pose == pytest.approx(expected, abs=1e-12)
     assert 0 <= pose[2] < 360
 
 
-def cut_step_by_step(tile, heading, sx, sy, turn_deg):
+def cut_step_by_step(tile, heading, sx, sy, rotation_deg):
     """LM's image operations one after the other; sx and sy are those of a test line."""
     tile = tile.rotate(-np.degrees(heading), resample=Image.Resampling.BILINEAR)
     ahead, right = 1.08 / METRES_PER_PIXEL, 0.26 / METRES_PER_PIXEL
@@ -70,7 +70,7 @@ def cut_step_by_step(tile, heading, sx, sy, turn_deg):
         tile = tile.transform(
             tile.size, Image.Transform.AFFINE, (1, 0, x, 0, 1, y), Image.Resampling.BILINEAR
         )
-    tile = tile.rotate(turn_deg, resample=Image.Resampling.BILINEAR)
+    tile = tile.rotate(rotation_deg, resample=Image.Resampling.BILINEAR)
     left = (tile.width - 512) // 2
     return tile.crop((left, left, left + 512, left + 512))
 
@@ -83,11 +83,11 @@ def random_cuts(count=6):
     ]
 
 
-@pytest.mark.parametrize(("heading", "sx", "sy", "turn_deg"), random_cuts())
-def test_one_resampling_cuts_what_lm_cuts_in_five(paint_texture, heading, sx, sy, turn_deg):
+@pytest.mark.parametrize(("heading", "sx", "sy", "rotation_deg"), random_cuts())
+def test_one_resampling_cuts_what_lm_cuts_in_five(paint_texture, heading, sx, sy, rotation_deg):
     tile = Image.fromarray(paint_texture(np.random.default_rng(0), 1280, blocks=40))
-    once = cut_tile(tile, heading, 20 * np.array([sx, sy]), turn_deg)
-    steps = cut_step_by_step(tile, heading, sx, sy, turn_deg)
+    once = cut_tile(tile, heading, 20 * np.array([sx, sy]), rotation_deg)
+    steps = cut_step_by_step(tile, heading, sx, sy, rotation_deg)
 
     def mismatch(image, other):
         # Each resampling rounds down: five of them are darker by a grey level or two throughout.
@@ -113,11 +113,11 @@ def find_spot(image):
     return shown.sum(axis=0) @ at / shown.sum(), shown.sum(axis=1) @ at / shown.sum()
 
 
-@pytest.mark.parametrize(("heading", "sx", "sy", "turn_deg"), random_cuts())
-def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, turn_deg):
+@pytest.mark.parametrize(("heading", "sx", "sy", "rotation_deg"), random_cuts())
+def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, rotation_deg):
     """And one 15 m ahead of the camera lies 15 m along the stated heading."""
     shift = 20 * np.array([sx, sy])
-    u, v, heading_deg = camera_pose(shift, turn_deg)
+    u, v, heading_deg = camera_pose(shift, rotation_deg)
     # The camera stands 1.08 m ahead of the GPS unit and 0.26 m to its right.
     camera = np.array(
         [
@@ -127,11 +127,11 @@ def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, turn_
     )
     ahead = camera + 15 * np.array([np.cos(heading), np.sin(heading)])
     tolerance = 0.1 / 512  # a tenth of a pixel
-    at_camera = cut_tile(paint_spot(1280, *camera), heading, shift, turn_deg)
+    at_camera = cut_tile(paint_spot(1280, *camera), heading, shift, rotation_deg)
     assert find_spot(at_camera) == pytest.approx((u, v), abs=tolerance)
     angle = np.radians(heading_deg)
     expected = u + 15 / SPAN_M * np.sin(angle), v - 15 / SPAN_M * np.cos(angle)
-    at_ahead = cut_tile(paint_spot(1280, *ahead), heading, shift, turn_deg)
+    at_ahead = cut_tile(paint_spot(1280, *ahead), heading, shift, rotation_deg)
     assert find_spot(at_ahead) == pytest.approx(expected, abs=tolerance)
 
 
