@@ -65,7 +65,8 @@ def generate_vigor(
 ) -> SynthResult:
     """Generate cities in VIGOR's on-disk format.
 
-    Complete images are kept, so that a call that was cut short goes on when it is repeated. The result depends on nothing but the arguments; `jobs` changes no byte.
+    Complete images are kept, so that a call that was cut short goes on when it is repeated. The
+    result depends on nothing but the arguments; `jobs` changes no byte.
 
     Parameters
     ----------
