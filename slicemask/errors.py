@@ -1,5 +1,6 @@
 """The errors of slicemask. Each is also the built-in a caller would expect to catch."""
 
+import errno
 import re
 
 
@@ -67,4 +68,21 @@ def is_out_of_memory(error: Exception) -> bool:
             )
             is not None
         )
+    )
+
+
+def is_out_of_resources(error: BaseException) -> bool:
+    """Whether an error says that memory or open files ran out, so that no file is to blame.
+
+    Parameters
+    ----------
+    error : BaseException
+        Any error of Python's own.
+
+    Returns
+    -------
+    bool
+    """
+    return isinstance(error, MemoryError) or (
+        isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
     )

@@ -1,6 +1,5 @@
 """The one reader of images: aerial tiles, ground images, and pictures to draw on."""
 
-import functools
 import logging
 import warnings
 from collections.abc import Callable
@@ -10,39 +9,28 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import Image, UnidentifiedImageError
 
-from slicemask.errors import ImageError
+from slicemask.errors import ImageError, is_out_of_resources
+from slicemask.image_depth import (
+    has_16_bits,
+    is_planar,
+    scale_to_8_bits,
+    upright,
+    values_of_16_bits,
+)
+from slicemask.image_formats import FORMATS, why_no_file, why_no_image
 
 Picture = str | Path | Image.Image | NDArray[Any]
 
-# Plain raster formats only: Pillow hands some others to outside programs.
-FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
-_FORMATS_TEXT = "JPEG, PNG, WebP, BMP or TIFF"
 # Ten times a 4096x2048 panorama. A small file can claim far more and fill the memory.
 MAX_PIXELS = 80_000_000
 # By how much proportions may differ from those expected, as after rounding a size.
 ASPECT_TOLERANCE = 0.02
-# How files of other formats begin, from which byte on.
-_OTHER_FORMATS = (
-    (0, b"\0\0\0\x0cjP  ", "JPEG 2000"),
-    (0, b"\xff\x4f\xff\x51", "JPEG 2000"),
-    (4, b"ftypavi", "AVIF"),
-    (4, b"ftyphei", "HEIC"),
-    (4, b"ftyphev", "HEIC"),
-    (4, b"ftypmif1", "HEIC"),
-    (0, b"GIF8", "GIF"),
-    *((0, b"P%d" % number, "PPM") for number in range(1, 8)),
-    (0, b"Pf", "PFM"),
-    (0, b"PF", "PFM"),
-    (0, b"8BPS", "Photoshop"),
-    (0, b"%!PS", "PostScript"),
-    (0, b"%PDF", "PDF"),
-    (0, b"\x89HDF", "HDF5"),
-    (0, b"v/1\x01", "OpenEXR"),
-    (0, b"\xff\x0a", "JPEG XL"),
-    (0, b"\0\0\0\x0cJXL ", "JPEG XL"),
-)
+# Of 255. An image in memory with no brighter pixel was most likely cut down from 16 bits.
+_DARK = 15
+_UNREAD_MODES = {"I": "numbers with a sign or of 32 bits", "F": "floating-point numbers"}
+_XMP_TAG = 700  # of TIFF
 log = logging.getLogger(__name__)
 
 
@@ -51,14 +39,16 @@ def read_image(source: Picture) -> Image.Image:
 
     Images of 16 bits a channel are read at full depth and scaled to 8: by the bits that their
     values use, or, where that would be dark, from the 2nd to the 98th percentile of their values.
-    The first one is logged.
+    The first one is logged. So is an image in memory that is nearly black throughout, since its
+    low bytes may be lost.
 
     Parameters
     ----------
-    source : path, PIL image or array [height, width, 3]
+    source : path, PIL image or array
         A JPEG, PNG, WebP, BMP or TIFF file, or what is in memory: a PIL image of any mode but
-        32-bit and float ones, or uint8, uint16 or float (in [0, 1]) red, green, blue. At most
-        `MAX_PIXELS` pixels.
+        32-bit and float ones, or an array [height, width, 3] of red, green, blue, with alpha
+        [height, width, 4], which is left out, or grey [height, width]; uint8, uint16 or float in
+        [0, 1]. At most `MAX_PIXELS` pixels.
 
     Returns
     -------
@@ -71,12 +61,14 @@ def read_image(source: Picture) -> Image.Image:
     ImageError
         If the file is missing, of another format, cut short, corrupt, too large or of another
         depth; the text names the path.
+    OSError, MemoryError
+        If open files or memory ran out, which is no fault of the image.
     """
     if isinstance(source, str | Path):
         return _read_file(Path(source))
     if isinstance(source, Image.Image):
-        return _upright_rgb(source, lambda: _reopen(source), "the image")
-    return _from_array(np.asarray(source))
+        return _read_pil(source)
+    return _from_array(source)
 
 
 def read_aerial(source: Picture) -> Image.Image:
@@ -143,83 +135,129 @@ def name_of(source: Picture) -> str:
 def _read_file(path: Path) -> Image.Image:
     try:
         if not path.is_file():
-            raise ImageError(_why_no_file(path))
-
+            raise ImageError(why_no_file(path))
         with _open(path) as image:
             return _upright_rgb(image, lambda: _open(path), str(path))
-    except ImageError:
-        raise
-    except PermissionError:
-        raise ImageError(f"{path}: permission denied; change the file's permissions") from None
     # A broken file makes the decoders raise nearly anything; each such error means the same here.
     except Exception as error:
-        if other := _other_format(path):
-            raise ImageError(
-                f"{path}: is a {other} file, which is not read; convert it to {_FORMATS_TEXT}"
-            ) from None
-        reason = " ".join(str(error).split()) or type(error).__name__
+        _raise_if_known(error, str(path))
+        unidentified = isinstance(error, UnidentifiedImageError)
+        raise ImageError(why_no_image(path, _reason(error), unidentified)) from error
+
+
+def _read_pil(image: Image.Image) -> Image.Image:
+    try:
+        if not getattr(image, "tile", None):
+            image = _undecoded(image)
+        elif image.format == "TIFF":
+            image = _reopen(image)
+        rgb = _upright_rgb(image, lambda: _reopen(image), "the image")
+    except Exception as error:
+        _raise_if_known(error, "the image")
         raise ImageError(
-            f"{path}: is unreadable as an image ({reason}); it may be cut short or altered, or no "
-            f"{_FORMATS_TEXT} file"
+            f"the image, a PIL image of mode {image.mode}, is unreadable ({_reason(error)}); "
+            "convert it to mode RGB"
         ) from error
+    _warn_if_dark(rgb)
+    return rgb
+
+
+def _raise_if_known(error: Exception, name: str) -> None:
+    """Raise what is no fault of the image's content as what it is, or in its own words."""
+    if isinstance(error, ImageError) or is_out_of_resources(error):
+        raise error
+    if isinstance(error, PermissionError):
+        raise ImageError(f"{name}: permission denied; change the file's permissions") from None
+    if isinstance(error, Image.DecompressionBombError):
+        raise ImageError(
+            f"{name}: has more than the {MAX_PIXELS:,} pixels allowed; make the image smaller"
+        ) from None
+    if isinstance(error, OSError):
+        if "out of memory" in str(error):  # from Pillow's decoders, without a number
+            raise MemoryError(f"{name}: memory ran out while it was decoded") from error
+        if error.errno is not None:
+            shown = name if len(name) <= 300 else f"{name[:100]}..."
+            raise ImageError(
+                f"{shown}: is unreadable ({error.strerror}); check the name and the disk"
+            ) from error
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _open(file: Path | BytesIO) -> Image.Image:
     with warnings.catch_warnings():
         # The size is checked by `_upright_rgb`, before anything is decoded.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        return Image.open(file, formats=FORMATS)
+        image = Image.open(file, formats=FORMATS)
+    # Without a name, Pillow does not map the file into memory, which scrambles a TIFF that its
+    # orientation turns by 90 degrees.
+    image.filename = ""
+    return image
 
 
 def _reopen(image: Image.Image) -> Image.Image:
     """Another image of the same file as one that was opened and not decoded yet."""
     file = image.fp  # type: ignore[attr-defined]
-    place = file.tell()
+    position = file.tell()
     file.seek(0)
     content = BytesIO(file.read())
-    file.seek(place)
+    file.seek(position)
     return _open(content)
 
 
-def _why_no_file(path: Path) -> str:
-    if path.is_dir():
-        return f"{path}: is a folder; name one image in it"
-    if any(sign in path.name for sign in "*?["):
-        return f"{path}: there is no such image; name one image, since patterns are not expanded"
-    return f"{path}: there is no such image; check the name"
+def _undecoded(image: Image.Image) -> Image.Image:
+    """The file of 16 bits that an image was decoded from, if it is there and shows the same.
 
-
-def _other_format(path: Path) -> str | None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError:
-        return None
-    return next((name for at, mark, name in _OTHER_FORMATS if head[at:].startswith(mark)), None)
+    Else the image itself: of colours of 16 bits, decoding keeps the high bytes alone.
+    """
+    path = getattr(image, "filename", "")
+    if image.format not in ("PNG", "TIFF") or not path or not Path(path).is_file():
+        return image
+    with _open(Path(path)) as again:
+        if not has_16_bits(again) or again.mode != image.mode or again.size != image.size:
+            return image
+        if again.tobytes() != image.tobytes():
+            return image
+    return _open(Path(path))
 
 
 def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: str) -> Image.Image:
     """Check an image before it is decoded, and turn it into upright 8-bit RGB."""
     _check_pixels(*image.size, name)
-    if image.mode in ("I", "F"):
+    xmp = _xmp(image)
+    if is_planar(image):
         raise ImageError(
-            f"{name}: its pixels are of mode {image.mode}, 32 bits a channel, which is not "
-            "read; convert it to 8 or 16 bits a channel"
+            f"{name}: has 16 bits a channel and is stored band by band, which is not read; store "
+            "it pixel by pixel (gdal_translate -co INTERLEAVE=PIXEL)"
         )
-    xmp = image.info.get("xmp")
-    low_mode = _low_byte_mode(image)
-    if image.mode.startswith("I;16"):
-        values = np.asarray(ImageOps.exif_transpose(image)).astype(np.uint16)
-        upright = _from_16_bits(np.repeat(values[..., None], 3, axis=2), name)
-    elif low_mode is None:
-        upright = ImageOps.exif_transpose(image).convert("RGB")
+    if has_16_bits(image):
+        rgb = scale_to_8_bits(values_of_16_bits(image, reopen), name)
+    elif image.mode in _UNREAD_MODES:
+        raise ImageError(
+            f"{name}: its pixels are of mode {image.mode}, {_UNREAD_MODES[image.mode]}, which are "
+            "not read; convert it to 8 or 16 unsigned bits a channel"
+        )
     else:
-        with reopen() as again:
-            low = _decode_as(again, low_mode)
-        high = np.asarray(ImageOps.exif_transpose(image).convert("RGB")).astype(np.uint16)
-        upright = _from_16_bits(high * np.uint16(256) + low, name)
-    upright.info = {} if xmp is None else {"xmp": xmp}
-    return upright
+        rgb = upright(image).convert("RGB")
+    rgb.info = {} if xmp is None else {"xmp": xmp}
+    return rgb
+
+
+def _xmp(image: Image.Image) -> bytes | str | None:
+    """The XMP data of an image, wherever this version of Pillow keeps them for its format."""
+    for key in ("xmp", "XML:com.adobe.xmp"):
+        if key in image.info:
+            found: bytes | str = image.info[key]
+            return found
+    segments: list[tuple[str, bytes]] = getattr(image, "applist", [])
+    for marker, content in segments:
+        head, _, rest = content.partition(b"\0")
+        if marker == "APP1" and head == b"http://ns.adobe.com/xap/1.0/":
+            return rest
+    tagged: bytes | None = getattr(image, "tag_v2", {}).get(_XMP_TAG)
+    return tagged
 
 
 def _check_pixels(width: int, height: int, name: str) -> None:
@@ -230,83 +268,43 @@ def _check_pixels(width: int, height: int, name: str) -> None:
         )
 
 
-def _low_byte_mode(image: Image.Image) -> str | None:
-    """Pillow's name for the low bytes of a colour image of 16 bits, None for other images.
-
-    Pillow decodes such an image to its high bytes. Told that the bytes come in the other order, it
-    decodes the low ones.
-    """
-    tiles = getattr(image, "tile", None)
-    if not tiles:
-        return None
-    args = tiles[0][3]
-    raw = args if isinstance(args, str) else args[0] if args else ""
-    mode, sign, order = raw.partition(";16") if isinstance(raw, str) else ("", "", "")
-    if not sign or mode.startswith("I"):
-        return None
-    native_is_little = np.little_endian
-    other = {"B": "L", "L": "B", "N": "B" if native_is_little else "L"}.get(order[:1], "")
-    return f"{mode};16{other}"
-
-
-def _decode_as(image: Image.Image, mode: str) -> NDArray[np.uint16]:
-    """Decode a file under another order of bytes: uint16 [height, width, 3], below 256."""
-
-    def swapped(args: Any) -> Any:
-        return mode if isinstance(args, str) else (mode, *args[1:])
-
-    image.tile = [  # type: ignore[attr-defined]
-        tile._replace(args=swapped(tile.args))
-        for tile in image.tile  # type: ignore[attr-defined]
-    ]
-    return np.asarray(ImageOps.exif_transpose(image).convert("RGB")).astype(np.uint16)
-
-
-def _from_array(array: NDArray[Any]) -> Image.Image:
+def _from_array(source: Any) -> Image.Image:
+    array = np.asarray(source)
+    if array.dtype.kind not in "biufc":
+        raise ImageError(
+            f"the image is of type {type(source).__name__}; it must be a path, a PIL image or an "
+            "array [height, width, 3]: red, green, blue"
+        )
     fault = None
-    if array.ndim != 3 or array.shape[2] != 3 or 0 in array.shape:
+    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,), (4,)):
         fault = "it must be [height, width, 3]: red, green, blue"
+    elif 0 in array.shape:
+        fault = "it must hold a pixel at least"
     elif array.dtype.kind == "f":
         if not (np.isfinite(array).all() and array.min() >= 0 and array.max() <= 1):
             fault = "floating-point values must be in [0, 1]"
-    elif array.dtype not in (np.uint8, np.uint16):
+    elif array.dtype.kind != "u" or array.dtype.itemsize > 2:
         fault = "it must be uint8, uint16 or floating point in [0, 1]"
     if fault:
         raise ImageError(
             f"the image is an array {array.dtype} with shape {list(array.shape)}; {fault}"
         )
     _check_pixels(array.shape[1], array.shape[0], "the image")
-    if array.dtype == np.uint16:
-        return _from_16_bits(array, "the image")
+    colours = np.broadcast_to(np.atleast_3d(array)[..., :3], (*array.shape[:2], 3))
+    if array.dtype.kind == "u" and array.dtype.itemsize == 2:
+        return scale_to_8_bits(colours.astype(np.uint16), "the image")
     if array.dtype.kind == "f":
-        array = np.rint(array * 255.0).astype(np.uint8)
-    return Image.fromarray(np.ascontiguousarray(array))
+        colours = np.rint(colours * 255.0).astype(np.uint8)
+    image = Image.fromarray(np.ascontiguousarray(colours))
+    _warn_if_dark(image)
+    return image
 
 
-def _from_16_bits(values: NDArray[np.uint16], name: str) -> Image.Image:
-    """An 8-bit image of uint16 [height, width, 3]."""
-    bits = max(8, int(values.max()).bit_length())
-    low, high = np.percentile(values, (2, 98))
-    if high >= 2 ** (bits - 1) or high <= low:
-        how = f"as values of {bits} bits"
-        shown = values >> (bits - 8)
-    else:
-        # A few bright pixels would make the rest dark.
-        how = f"from the 2nd to the 98th percentile, {low:.0f} to {high:.0f}"
-        shown = np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0)
-    _log_once(name, how)
-    return Image.fromarray(shown.astype(np.uint8))
-
-
-@functools.cache
-def _said() -> list[str]:
-    """Holds the first image of 16 bits that was met in this process."""
-    return []
-
-
-def _log_once(name: str, how: str) -> None:
-    if not _said():
-        _said().append(name)
+def _warn_if_dark(image: Image.Image) -> None:
+    brightest = int(np.asarray(image).max())
+    if 0 < brightest <= _DARK:
         log.warning(
-            "%s: has 16 bits a channel; scaled to 8 bits %s; others likewise, unsaid", name, how
+            "the image is nearly black: no value exceeds %d of 255; if it had 16 bits a channel, "
+            "hand over its path or a uint16 array",
+            brightest,
         )

@@ -116,6 +116,21 @@ def test_the_tile_shows_through(kind):
     np.testing.assert_allclose(at(0.8, 0.2), 0.47 * slice_colours(1)[0], atol=0.01)
 
 
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+def test_a_tile_is_drawn_the_way_up_that_its_file_says(tmp_path, suffix):
+    stored = np.zeros((40, 40, 3), dtype=np.uint8)
+    stored[:, :20] = (200, 40, 40)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # a quarter turn: left becomes up
+    path = tmp_path / f"tile{suffix}"
+    Image.fromarray(stored).save(path, exif=exif, quality=95)
+    frustum = Frustum(hfov_deg=90.0, slices=1)  # the south-east quadrant
+    at = pixels_on_tile(figure_of((0.5, 0.5, 135.0), frustum, cells=4, aerial=path))
+    np.testing.assert_allclose(at(0.2, 0.2), np.array([200, 40, 40]) / 255.0, atol=0.03)
+    np.testing.assert_allclose(at(0.8, 0.2), np.array([200, 40, 40]) / 255.0, atol=0.03)
+    np.testing.assert_allclose(at(0.2, 0.8), 0.0, atol=0.03)
+
+
 @pytest.mark.parametrize("slices", [1, 2, 5, 16, 33, 64])
 def test_every_slice_has_a_panel_and_a_number(slices):
     figure = figure_of((0.4, 0.6, 10.0), Frustum(hfov_deg=200.0, slices=slices))
@@ -205,7 +220,7 @@ def test_png_reads_back(tmp_path):
         (f"{'long' * 70}.png", "is invalid: File name too long"),
     ],
 )
-def test_a_target_that_cannot_be_is_refused(tmp_path, name, message):
+def test_a_target_that_is_invalid_is_refused(tmp_path, name, message):
     (tmp_path / "folder.png").mkdir()
     with pytest.raises(PlotError, match=message):
         save_figure(figure_of(CENTRE, QUARTERS), tmp_path / name)
@@ -288,7 +303,7 @@ def test_an_animation_on_a_busy_tile_stays_small(tmp_path):
         ({"engine": "guess"}, SpecError, "engine is 'guess'"),
     ],
 )
-def test_an_animation_that_cannot_be_is_refused(tmp_path, change, error, message):
+def test_an_animation_that_is_invalid_is_refused(tmp_path, change, error, message):
     options = {"pose": CENTRE, "frustum": QUARTERS, "cells": 4, "path": "turn.gif", "frames": 3}
     options |= change
     options["path"] = tmp_path / options["path"]
@@ -357,10 +372,10 @@ def test_an_invalid_tile_is_refused(tmp_path, name, message):
         ({"pose": (0.5, np.nan, 0.0)}, PoseError, "not finite"),
         ({"pose": (0.5, 0.5)}, PoseError, "u, v, heading_deg"),
         ({"aerial": np.zeros((8, 9, 3), np.uint8)}, ImageError, "9x8 pixels"),
-        ({"aerial": np.zeros((8, 8), np.uint8)}, ImageError, r"\[8, 8\]"),
+        ({"aerial": np.zeros((8, 8, 2), np.uint8)}, ImageError, r"\[8, 8, 2\]"),
     ],
 )
-def test_a_drawing_that_cannot_be_is_refused(change, error, message):
+def test_a_drawing_that_is_invalid_is_refused(change, error, message):
     options = {"masks": np.zeros((4, 4, 4)), "pose": CENTRE, "frustum": QUARTERS} | change
     with pytest.raises(error, match=message):
         draw_pose(**options)

@@ -4,14 +4,19 @@ import functools
 import logging
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 log = logging.getLogger(__name__)
 
+if TYPE_CHECKING:  # generic in the newest click alone
+    ParamType = click.ParamType[Any]
+else:
+    ParamType = click.ParamType
 
-class Numbers(click.ParamType):
+
+class Numbers(ParamType):
     """Numbers separated by commas, such as ``0.5,0.5,90``."""
 
     def __init__(self, names: str, kind: type = float):
@@ -32,7 +37,7 @@ class Numbers(click.ParamType):
         return numbers
 
 
-class NumberList(click.ParamType):
+class NumberList(ParamType):
     """Any count of numbers separated by commas, such as the example."""
 
     name = "number,..."
@@ -52,7 +57,7 @@ class NumberList(click.ParamType):
             )
 
 
-class ImageSize(click.ParamType):
+class ImageSize(ParamType):
     """Columns and rows of an image, such as 1024x512."""
 
     name = "COLUMNSxROWS"

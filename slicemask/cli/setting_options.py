@@ -14,7 +14,7 @@ from slicematch.data import DATA_SETS, config_class
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.settings import documentation
 
-from slicemask.cli.options import NumberList, Numbers
+from slicemask.cli.options import NumberList, Numbers, ParamType
 
 
 def setting_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -41,10 +41,10 @@ class _None:
 NONE = _None()
 
 
-class _OrNone(click.ParamType):
+class _OrNone(ParamType):
     """A number, or a word that stands for None."""
 
-    def __init__(self, kind: click.ParamType, word: str) -> None:
+    def __init__(self, kind: ParamType, word: str) -> None:
         self._kind = kind
         self._word = word
         self.name = f"{kind.name}|{word}"
@@ -58,7 +58,7 @@ class _OrNone(click.ParamType):
             self.fail(f"{value!r} is neither a {self._kind.name} nor {self._word}", param, ctx)
 
 
-class _Texts(click.ParamType):
+class _Texts(ParamType):
     """Texts separated by commas."""
 
     name = "text,..."

@@ -295,7 +295,7 @@ def _read_text(path: Path) -> tuple[NDArray[np.float64], Iterator[str]]:
     with path.open(newline="", encoding="utf-8-sig") as file:
         numbered = enumerate(file, start=1)
         first, top = next(((number, line) for number, line in numbered if line.strip()), (1, ""))
-        separator = max(_SEPARATORS, key=top.count)
+        separator = max(_SEPARATORS, key=lambda sign: (_columns_named(top, sign), top.count(sign)))
         reader = csv.reader(itertools.chain([top], file), delimiter=separator)
         try:
             header = [name.strip().lower() for name in next(reader, [])]
@@ -323,6 +323,12 @@ def _read_text(path: Path) -> tuple[NDArray[np.float64], Iterator[str]]:
         except csv.Error as error:
             raise PoseError(f"{path}: line {first - 1 + reader.line_num}: {error}") from None
     return np.array(rows).reshape(-1, 3), (f"line {line}" for line in lines)
+
+
+def _columns_named(header: str, separator: str) -> int:
+    """How many of the columns a header names if its fields are separated by a sign."""
+    names = {name.strip(' "\r\n').lower() for name in header.split(separator)}
+    return len(names.intersection(COLUMNS))
 
 
 def _number(text: str) -> float:

@@ -28,9 +28,9 @@ _WHEEL = (
     "#3f74d1", "#7d5fd3", "#b954b6", "#e0527c", "#e9683f", "#f0932b",
     "#ecc02f", "#a3bf3f", "#4fae62", "#22a3a0", "#3596d3",
 )  # fmt: skip
-# Room around the tile for slice numbers, as a share of its side.
+# Room around the tile for slice numbers, as a fraction of its side.
 MARGIN = 0.075
-_ARROW = 0.13  # length of the heading's arrow, as a share of the tile's side
+_ARROW = 0.13  # length of the heading's arrow, as a fraction of the tile's side
 _TILE_OPACITY = 0.47  # of the slices on an aerial tile, which is to be seen through them
 _MOST_LINES = 65  # more cells than this along a side are drawn without lines between them
 _MOST_PIXELS = 2048  # of an aerial tile along a side; no picture shows more
@@ -146,19 +146,19 @@ def draw_pose(
     height = _BOTTOM + whole + _TOP
     figure = Figure(figsize=(width, height), facecolor="white")
 
-    def place(left: float, bottom: float, wide: float, high: float) -> "Axes":
+    def add_axes(left: float, bottom: float, wide: float, high: float) -> "Axes":
         return figure.add_axes((left / width, bottom / height, wide / width, high / height))
 
     def write(left: float, bottom: float, text: str, **style: Any) -> None:
         figure.text(left / width, bottom / height, text, parse_math=False, **style)
 
-    draw_slices(place(_LEFT, _BOTTOM, whole, whole), masks, (u, v, heading_deg), frustum, aerial)
+    draw_slices(add_axes(_LEFT, _BOTTOM, whole, whole), masks, (u, v, heading_deg), frustum, aerial)
 
     start, foot = _LEFT + whole + _BETWEEN, _BOTTOM + tile * MARGIN
     image = None
     for n, colour in enumerate(slice_colours(frustum.slices)):
         row, column = divmod(n, columns)
-        axes = place(
+        axes = add_axes(
             start + column * (side + gap * 0.7),
             foot + tile + gap - (row + 1) * (side + gap),
             side,
@@ -167,7 +167,7 @@ def draw_pose(
         image = _draw_mask(axes, masks[n], colour, str(n) if gap > 0.12 else "")
         axes.plot(u, v, "o", markersize=3.2, color=colour, markeredgecolor="white", mew=0.5)
     if image is not None:
-        bar_axes = place(start + block + _BAR_GAP, foot, _BAR_WIDTH, tile)
+        bar_axes = add_axes(start + block + _BAR_GAP, foot, _BAR_WIDTH, tile)
         bar = figure.colorbar(image, cax=bar_axes)
         bar.set_label("fraction of the cell covered", fontsize=9, color=INK)
         bar.ax.tick_params(labelsize=8, color=FRAME, labelcolor=MUTED, length=3)
@@ -218,11 +218,11 @@ def draw_slices(
     opacity = 1.0 if aerial is None else _TILE_OPACITY
     axes.imshow(_blend(masks, colours, opacity), extent=extent, zorder=1)
     if cells < _MOST_LINES:
-        at = np.arange(1, cells) / cells
+        borders = np.arange(1, cells) / cells
         style: dict[str, Any] = {"colors": "white", "linewidth": 0.4, "zorder": 2}
         style["alpha"] = 0.8 if aerial is None else 0.3
-        axes.hlines(at, 0.0, 1.0, **style)
-        axes.vlines(at, 0.0, 1.0, **style)
+        axes.hlines(borders, 0.0, 1.0, **style)
+        axes.vlines(borders, 0.0, 1.0, **style)
     axes.plot((0, 1, 1, 0, 0), (0, 0, 1, 1, 0), color=FRAME, linewidth=0.8, zorder=3)
 
     _draw_edges(axes, camera, frustum)
@@ -266,8 +266,8 @@ def _draw_frame(axes: "Axes") -> None:
         spine.set(visible=name in ("left", "bottom"), color=FRAME)
         spine.set_bounds(0.0, 1.0)
     ticks = (0.0, 0.25, 0.5, 0.75, 1.0)
-    axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
-    axes.set_yticks(ticks, [f"{at:g}" for at in ticks])
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.tick_params(labelsize=8, color=FRAME, labelcolor=MUTED, length=3)
     axes.set_xlabel("u (east)", fontsize=9, color=INK)
     axes.set_ylabel("v (south)", fontsize=9, color=INK)
@@ -323,13 +323,13 @@ def _draw_numbers(
         seen = np.flatnonzero(np.linalg.norm(across - pose[:2], axis=1) > 1e-3)
         if len(seen) == 0:
             continue  # it looks out of the tile
-        at = 0.5 + (across[seen[len(seen) // 2]] - 0.5) * (1.0 + MARGIN)
-        if any(np.linalg.norm(at - other) < room for other in placed):
+        centre = 0.5 + (across[seen[len(seen) // 2]] - 0.5) * (1.0 + MARGIN)
+        if any(np.linalg.norm(centre - other) < room for other in placed):
             continue
-        placed.append(at)
+        placed.append(centre)
         axes.text(
-            at[0],
-            at[1],
+            centre[0],
+            centre[1],
             str(n),
             ha="center",
             va="center_baseline",
@@ -362,10 +362,10 @@ def arrow_tip(pose: Pose, margin: float) -> Array:
     >>> arrow_tip((1.0, 0.5, 90.0), 0.05).tolist()
     [1.05, 0.5]
     """
-    place = np.asarray(pose[:2], dtype=np.float64)
-    framed = (place + margin) / (1.0 + 2.0 * margin)
+    camera = np.asarray(pose[:2], dtype=np.float64)
+    framed = (camera + margin) / (1.0 + 2.0 * margin)
     ahead = (edge_ends((*framed, 0.0), pose[2]) - framed) * (1.0 + 2.0 * margin)
-    return np.asarray(place + ahead * min(1.0, _ARROW / math.hypot(*ahead)))
+    return np.asarray(camera + ahead * min(1.0, _ARROW / math.hypot(*ahead)))
 
 
 def _draw_camera(axes: "Axes", pose: Array) -> None:

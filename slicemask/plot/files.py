@@ -33,11 +33,11 @@ _DOTS_PER_INCH = 160
 _FRAME_SIZE = (4.6, 4.9)
 _FRAME_DOTS, _MOST_SLICES_AT_FULL_SIZE = 100, 16
 _FRAME_COLOURS = 128
-_TURN_SECONDS = 7.2
+_ROUND_SECONDS = 7.2
 
 
 def check_figure_target(path: str | Path) -> Path:
-    """Return the path of a figure to be written, or raise PlotError if it cannot be one."""
+    """Return the path of a figure to be written, or raise PlotError if it is invalid."""
     return check_target(path, FIGURE_SUFFIXES, PlotError)
 
 
@@ -92,7 +92,7 @@ def animate_heading(
     aerial : array [S, S, 3] or picture, optional
         The aerial tile, as for `slicemask.plot.draw_pose`.
     frames : int
-        How many headings, from 2 to 360; a turn takes some 7 seconds whatever their number.
+        How many headings, from 2 to 360; one round takes some 7 seconds whatever their number.
     engine : {"rays", "shapely"}
         What computes the masks.
     progress : callable, optional
@@ -103,7 +103,7 @@ def animate_heading(
     PlotError
         If the suffix is another, or the file cannot be written; nothing is left behind.
     SpecError, PoseError
-        If the other arguments cannot be.
+        If another argument is invalid.
     """
     path = check_target(path, (".gif",), PlotError)
     if not is_whole(frames) or not 2 <= frames <= 360:
@@ -131,7 +131,7 @@ def animate_heading(
             format="GIF",
             save_all=True,
             append_images=pictures,
-            duration=round(_TURN_SECONDS * 1000 / frames),
+            duration=round(_ROUND_SECONDS * 1000 / frames),
             loop=0,
         )
 

@@ -37,7 +37,7 @@ class SynthResult:
     images : int
         Number of images of the data set.
     rendered : int
-        Number of those that were rendered now; the others were there.
+        Number of those that were rendered now; the others existed already.
     """
 
     path: Path
@@ -65,8 +65,8 @@ def generate_vigor(
 ) -> SynthResult:
     """Generate cities in VIGOR's on-disk format.
 
-    Images that are there and whole are kept, so that a call that was cut short goes on when it is
-    repeated. The result depends on nothing but the arguments; `jobs` changes no byte.
+    Complete images are kept, so that a call that was cut short goes on when it is repeated. The
+    result depends on nothing but the arguments; `jobs` changes no byte.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def test_grid_text_that_is_none(text):
         ({"places": "corners"}, "'corners'.*centres, endpoints"),
     ],
 )
-def test_grids_that_cannot_be(arguments, message):
+def test_grids_that_are_invalid(arguments, message):
     with pytest.raises(SpecError, match=message):
         PoseGrid(**({"rows": 2, "columns": 2, "headings": 2} | arguments))
 
@@ -62,13 +62,13 @@ def test_grids_that_cannot_be(arguments, message):
         ((90, 4, "fisheye"), "'fisheye'.*equirectangular, pinhole"),
     ],
 )
-def test_frusta_that_cannot_be(arguments, message):
+def test_frusta_that_are_invalid(arguments, message):
     with pytest.raises(SpecError, match=message):
         Frustum(*arguments)
 
 
 @pytest.mark.parametrize("cells", [0, -1, 2.0, 8193])
-def test_cells_that_cannot_be(cells):
+def test_cells_that_are_invalid(cells):
     with pytest.raises(SpecError, match=f"cells is {cells}"):
         slice_masks([[0.5, 0.5, 0]], Frustum(), cells)
 
@@ -87,7 +87,7 @@ def test_an_engine_that_there_is_not():
         ([0.5, 0.5, float("inf")], "pose 1 is not finite"),
     ],
 )
-def test_a_pose_that_cannot_be_is_named(pose, message):
+def test_a_pose_that_is_invalid_is_named(pose, message):
     with pytest.raises(PoseError, match=message):
         slice_masks([[0.5, 0.5, 0], pose], Frustum(), 4)
 
@@ -113,6 +113,13 @@ def test_tables_as_programs_write_them(tmp_path, separator, header, start):
     text = start + "\r\n".join(line.format(separator) for line in lines)
     path.write_text(text, encoding="utf-8", newline="")
     assert read_poses(path).tolist() == [[0.25, 0.5, 90.0], [0.1, 0.5, 350.0]]
+
+
+@pytest.mark.parametrize("other", ["a,b,c,d", "a\tb\tc\td", "note, mine"])
+def test_further_columns_may_hold_other_separators(tmp_path, other):
+    path = tmp_path / "poses.csv"
+    path.write_text(f"u;v;heading_deg;{other}\n0.25;0.5;90;x,y,z\n")
+    assert read_poses(path).tolist() == [[0.25, 0.5, 90.0]]
 
 
 @pytest.mark.parametrize(
@@ -188,7 +195,7 @@ def test_npy_gives_the_same_poses(tmp_path):
         ("u,v,heading_deg\n0.5,north,0\n", "line 2: '0.5,north,0'"),
     ],
 )
-def test_pose_files_that_cannot_be_name_the_line(tmp_path, text, message):
+def test_pose_files_that_are_invalid_name_the_line(tmp_path, text, message):
     path = tmp_path / "poses.csv"
     path.write_text(text)
     with pytest.raises(PoseError, match=message) as caught:

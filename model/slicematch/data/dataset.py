@@ -298,21 +298,21 @@ class PoseDataset(Dataset[Sample | None]):
     def __getitem__(self, index: int) -> Sample | None:
         training = self.part == "train"
         for step in range(len(self) if training else 1):
-            at = (index + step) % len(self)
+            tried = (index + step) % len(self)
             try:
-                ground, aerial = self.load(at)
+                ground, aerial = self.load(tried)
             except SampleError as error:
                 if self.bad_sample_log is None:
                     raise
-                self.bad_sample_log.record(self.names[at], error)
+                self.bad_sample_log.record(self.names[tried], error)
                 continue
             return {
                 "ground": ground,
                 "aerial": aerial,
-                "pose": torch.from_numpy(self.pose(at)),
-                "metres_per_pixel": float(self.tile_metres[at] / self.aerial_size),
-                "name": self.names[at],
-                "index": at,
+                "pose": torch.from_numpy(self.pose(tried)),
+                "metres_per_pixel": float(self.tile_metres[tried] / self.aerial_size),
+                "name": self.names[tried],
+                "index": tried,
             }
         if training and self.bad_sample_log is not None:
             raise DatasetError(

@@ -25,9 +25,9 @@ def normalise(
     float32 [3, H, W]
         (image / 255 - mean) / std.
     """
-    pixels = np.asarray(image, dtype=np.float32) / np.float32(255)
-    pixels = (pixels - np.array(mean, np.float32)) / np.array(std, np.float32)
-    return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
+    pixels: NDArray[np.float32] = np.asarray(image, dtype=np.float32) / np.float32(255)
+    normalised = (pixels - np.array(mean, np.float32)) / np.array(std, np.float32)
+    return torch.from_numpy(np.ascontiguousarray(normalised.transpose(2, 0, 1)))
 
 
 def denormalise(

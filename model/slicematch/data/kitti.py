@@ -71,8 +71,8 @@ class KittiConfig(DataConfig):
         lateral errors are below 1 m, and 15 columns over the whole tile would allow at most 30 %.
         """
         half_width = self.heading_half_width_deg
-        turn = math.radians(min(45.0, 180.0 if half_width is None else half_width))
-        reach_m = SHIFT_RANGE_M * (math.cos(turn) + math.sin(turn))
+        rotation = math.radians(min(45.0, 180.0 if half_width is None else half_width))
+        reach_m = SHIFT_RANGE_M * (math.cos(rotation) + math.sin(rotation))
         half = math.ceil(100 * reach_m / SPAN_M) / 100  # a hundredth, for the sake of names
         low, high = round(0.5 - half, 2), round(0.5 + half, 2)
         return low, low, high, high
@@ -82,14 +82,14 @@ class KittiConfig(DataConfig):
         return KittiSource(self, part)
 
 
-def camera_pose(shift: NDArray[np.float64], turn_deg: float) -> NDArray[np.float64]:
+def camera_pose(shift: NDArray[np.float64], rotation_deg: float) -> NDArray[np.float64]:
     """The camera's pose in a crop cut with a shift and a turn, in closed form.
 
     Parameters
     ----------
     shift : float64 [2]
         Metres that the camera lies right of and above the crop's centre before the turn.
-    turn_deg : float
+    rotation_deg : float
         Degrees counter-clockwise that the crop is turned by, about its centre.
 
     Returns
@@ -97,14 +97,14 @@ def camera_pose(shift: NDArray[np.float64], turn_deg: float) -> NDArray[np.float
     float64 [3]
         u, v, heading_deg in the crop.
     """
-    right, up = _rotation(np.radians(turn_deg)) @ shift
+    right, up = _rotation(np.radians(rotation_deg)) @ shift
     # Twice, because the first may round a tiny negative number up to 360 itself.
-    heading_deg = (90.0 - turn_deg) % 360.0 % 360.0
+    heading_deg = (90.0 - rotation_deg) % 360.0 % 360.0
     return np.array([0.5 + right / SPAN_M, 0.5 - up / SPAN_M, heading_deg])
 
 
 def cut_tile(
-    tile: Image.Image, heading: float, shift: NDArray[np.float64], turn_deg: float
+    tile: Image.Image, heading: float, shift: NDArray[np.float64], rotation_deg: float
 ) -> Image.Image:
     """Cut LM's 512-pixel crop out of an aerial tile, in one affine resampling.
 
@@ -120,7 +120,7 @@ def cut_tile(
         Radians, 0 east, counter-clockwise.
     shift : float64 [2]
         Metres that the camera lies right of and above the crop's centre before the turn.
-    turn_deg : float
+    rotation_deg : float
         Degrees counter-clockwise that the crop is turned by, about its centre.
 
     Returns
@@ -129,8 +129,8 @@ def cut_tile(
         512x512 pixels.
     """
     # East and north of the tile's centre, in metres: q = A p + b for right and up p in the crop.
-    turn_back = _rotation(-np.radians(turn_deg))
-    matrix = _rotation(heading) @ turn_back
+    unrotate = _rotation(-np.radians(rotation_deg))
+    matrix = _rotation(heading) @ unrotate
     offset = _rotation(heading) @ (CAMERA_OFFSET_M - shift)
     # The same in pixels from the top left corner, where y grows down.
     flip = np.diag([1.0, -1.0])
@@ -251,9 +251,9 @@ def read_split(path: str | Path, with_pose: bool) -> tuple[list[str], NDArray[np
         elif len(values) != (3 if with_pose else 0):
             fault = f"{len(values)} fields follow the path"
         else:
-            for place, (field, value) in enumerate(zip(fields, values, strict=True), start=2):
+            for column, (field, value) in enumerate(zip(fields, values, strict=True), start=2):
                 if value is None or abs(value) > 1:
-                    fault = f"field {place} is {field!r}"
+                    fault = f"field {column} is {field!r}"
                     break
         if fault:
             raise DatasetError(

@@ -9,10 +9,11 @@ import numpy as np
 from PIL import Image
 
 from slicemask.errors import ImageError
-from slicemask.images import Picture, check_aspect, name_of, read_image
+from slicemask.images import ASPECT_TOLERANCE, Picture, check_aspect, name_of, read_image
 
 # Above it, the rows of a panorama are no longer rows of equal elevation.
 MAX_TILT_DEG = 2.0
+_NAMESPACE = "http://ns.google.com/photos/1.0/panorama/"
 log = logging.getLogger(__name__)
 # What has been said of panoramas in this process: once of each kind.
 _said: set[str] = set()
@@ -72,7 +73,7 @@ def read_panorama(source: Picture) -> Panorama:
     heading_deg = _number(data, "PoseHeadingDegrees", name)
     if heading_deg is not None:
         heading_deg %= 360.0
-        _say_once("heading", f"{name}: faces {heading_deg:g} degrees, as its GPano data say")
+        _say_once("heading", f"{name}: its GPano data say that it faces {heading_deg:g} degrees")
     return Panorama(image, heading_deg)
 
 
@@ -110,8 +111,10 @@ def turn_panorama(image: Image.Image, heading_deg: float, size: tuple[int, int])
 def _gpano(xmp: object) -> dict[str, str]:
     """The GPano properties in an XMP packet, as attributes or as elements."""
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp or "")
-    attributes = re.findall(r"""GPano:(\w+)\s*=\s*["']([^"']*)["']""", text)
-    elements = re.findall(r"<GPano:(\w+)>([^<]*)</GPano:", text)
+    bound = re.search(rf"""xmlns:([\w.-]+)\s*=\s*["']{re.escape(_NAMESPACE)}["']""", text)
+    prefix = re.escape(bound[1]) if bound else "GPano"
+    attributes = re.findall(rf"""\b{prefix}:(\w+)\s*=\s*["']([^"']*)["']""", text)
+    elements = re.findall(rf"<{prefix}:(\w+)>([^<]*)</{prefix}:", text)
     return {key: value.strip() for key, value in attributes + elements}
 
 
@@ -151,7 +154,7 @@ def _whole_sphere(image: Image.Image, data: dict[str, str], name: str) -> Image.
     # The file may have been resized since its data were written.
     scale = image.width / width
     inside = 0 <= left < full_width and top >= 0 and top + height <= full_height
-    fits = abs(image.height / height / scale - 1) < 0.02 and width <= full_width
+    fits = abs(image.height / height / scale - 1) <= ASPECT_TOLERANCE and width <= full_width
     if not (inside and fits and min(width, height) > 0):
         numbers = ", ".join(f"{key} {data[key]}" for key in _AREA if key in data)
         raise ImageError(

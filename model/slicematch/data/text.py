@@ -4,6 +4,7 @@ import math
 import re
 from pathlib import Path
 
+from slicemask.errors import is_out_of_resources
 from slicematch.data.errors import DatasetError
 
 # float() also takes "1_0", "nan", and digits of other scripts.
@@ -25,14 +26,20 @@ def read_lines(path: Path, what: str, hint: str) -> list[tuple[int, str]]:
     Raises
     ------
     DatasetError
-        If the file is missing, empty or no text.
+        If the file is missing, unreadable, empty or not text.
+    OSError
+        If open files ran out, which is no fault of the file.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise DatasetError(f"{path}: {what} is missing; {hint}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: {what} is not readable as text ({error})") from error
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path}: {what} is not text in UTF-8; save it as UTF-8") from error
+    except OSError as error:
+        if is_out_of_resources(error):
+            raise
+        raise DatasetError(f"{path}: {what} is not readable ({error.strerror})") from error
     lines = [
         (number, line) for number, line in enumerate(text.split("\n"), start=1) if line.strip()
     ]

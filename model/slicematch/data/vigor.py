@@ -107,16 +107,17 @@ def read_labels(path: str | Path) -> VigorLabels:
                 f"{path}, line {number}: is no label, since it has {len(fields)} fields; expected "
                 "13, separated by single spaces: a panorama and four times an aerial tile, d0, d1"
             )
-        for place, name in enumerate(_FIELDS):
+        for column, (name, field) in enumerate(zip(_FIELDS, fields, strict=True), start=1):
             if name in ("d0", "d1"):
-                fault = parse_number(fields[place]) is None and "a number of pixels"
+                fault = parse_number(field) is None and "a number of pixels"
             else:
-                fault = not fields[place].strip("\"'\t") and "a file's name"
-                fault = fault or (any(c in fields[place] for c in '"\t') and "a bare file name")
+                bare = field.strip("\"'\t")
+                fault = not bare and "a file's name"
+                fault = fault or (bare != field and "a bare file name")
             if fault:
                 raise DatasetError(
-                    f"{path}, line {number}: is no label, since field {place + 1} ({name}) is "
-                    f"{fields[place]!r}; expected {fault}"
+                    f"{path}, line {number}: is no label, since field {column} ({name}) is "
+                    f"{field!r}; expected {fault}"
                 )
         panoramas.append(fields[0])
         aerials.append(fields[1])
@@ -133,7 +134,7 @@ def _hint(path: Path) -> str:
     other = (
         f"name only cities that are there (--cities {','.join(available)})"
         if available
-        else "check the root"
+        else "check the root and labels"
     )
     if path.parent.parent.name == "splits__corrected":
         return (
@@ -206,11 +207,11 @@ class VigorSource(Source):
         panorama = read_panorama(panorama_file)
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
-        turn_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
+        rotation_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
         cropped = crop_elevations(
             panorama.image, self.config.elevations, self.config.projection, self.hfov_deg
         )
-        ground = turn_panorama(cropped, turn_deg, self.config.ground_size)
+        ground = turn_panorama(cropped, rotation_deg, self.config.ground_size)
         return ground, resize(aerial, (self.config.aerial_size, self.config.aerial_size))
 
     def _heading_deg(self, index: int, random: np.random.Generator) -> float:
@@ -257,7 +258,7 @@ def _label_folder(config: VigorConfig) -> Path:
     if config.labels in known:
         return known[config.labels]
     for folder in (Path(config.labels), root / config.labels):
-        if folder.is_dir():
+        if config.labels and folder.is_dir():
             return folder
     raise DatasetError(
         f"labels is {config.labels!r}; it must be corrected, original, or a folder that is there "

@@ -1,4 +1,4 @@
-"""Writing a data set's pictures and texts, and telling whether they are there."""
+"""Writing a data set's pictures and texts, and telling whether they are complete."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask import files
-from slicemask.errors import SynthError
+from slicemask.errors import SynthError, is_out_of_resources
 
 # What a file of each format ends with. Pillow can do without it.
 ENDS = {".jpg": b"\xff\xd9", ".png": b"IEND\xaeB`\x82"}
@@ -18,14 +18,16 @@ _REMEDY = (
 
 
 def is_complete(path: Path, size: tuple[int, int]) -> bool:
-    """Whether a picture is there, of the given (columns, rows), and can be decoded to its end."""
+    """Whether a picture exists, has the given (columns, rows) and can be decoded to its end."""
     try:
         with Image.open(path) as image:
             if image.size != size:
                 return False
             image.load()
             return path.read_bytes().endswith(ENDS[path.suffix])
-    except Exception:  # a broken file makes Pillow raise all sorts
+    except Exception as error:  # a broken file makes Pillow raise all sorts
+        if is_out_of_resources(error):
+            raise
         return False
 
 
@@ -51,5 +53,5 @@ def _make_folder(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SynthError(
-            f"{path.parent}: cannot be made: {error.strerror}; choose another folder"
+            f"{path.parent}: could not be created: {error.strerror}; choose another folder"
         ) from error

@@ -172,7 +172,7 @@ class GroundTask:
     images = 1
 
     def run(self) -> int:
-        """Write the image unless it is there; give the number of images written."""
+        """Write the image unless it is complete; give the number of images written."""
         plan, spec = plan_drives(self.spec), self.spec
         path = ground_path(self.root, plan.frames[self.number])
         if is_complete(path, spec.image_size):
@@ -206,7 +206,7 @@ class DriveTilesTask:
         return len(self.numbers)
 
     def run(self) -> int:
-        """Write the tiles that are not there; give the number of images written."""
+        """Write the tiles that are not complete; give the number of images written."""
         plan, spec = plan_drives(self.spec), self.spec
         paths = [self.root / "satmap" / plan.frames[number] for number in self.numbers]
         missing = missing_tiles(paths, spec.tile_size)

@@ -15,7 +15,7 @@ from slicemask.synth.render.scene import Scene
 
 
 def missing_tiles(paths: Sequence[Path], pixels: int) -> list[int]:
-    """Which of the tiles are not there or not whole."""
+    """Which of the tiles are missing or incomplete."""
     return [k for k, path in enumerate(paths) if not is_complete(path, (pixels, pixels))]
 
 
@@ -30,7 +30,7 @@ def write_tiles(
     """Render the square tiles around centres, and write those that are wanted.
 
     The picture covers all tiles whichever are wanted, since which pixels get more rays depends on
-    their neighbours; so a tile is the same whether or not others were there already.
+    their neighbours; so a tile is the same whether or not others exist already.
 
     Parameters
     ----------

@@ -256,15 +256,15 @@ class PanoramaTask:
     images = 1
 
     def run(self) -> int:
-        """Write the panorama unless it is there; give the number of images written."""
+        """Write the panorama unless it is complete; give the number of images written."""
         plan = plan_city(self.spec)
         path = self.root / plan.info.name / "panorama" / plan.panorama_names[self.number]
         if is_complete(path, self.spec.panorama_size):
             return 0
         rng = self.spec.random(2, self.number)
         x, y = plan.places[self.number].tolist()
-        place = (x, y, CAMERA_HEIGHT_M + float(rng.normal(0, 0.08)))
-        camera = Panorama(place, self.spec.panorama_size[::-1])
+        position = (x, y, CAMERA_HEIGHT_M + float(rng.normal(0, 0.08)))
+        camera = Panorama(position, self.spec.panorama_size[::-1])
         image = render(_scene(self.spec, "ground"), camera, Light.draw(rng))
         write_picture(path, Grade.draw(rng).apply(image, rng))
         return 1
@@ -284,7 +284,7 @@ class TilesTask:
         return len(self.tiles)
 
     def run(self) -> int:
-        """Write the tiles that are not there; give the number of images written."""
+        """Write the tiles that are not complete; give the number of images written."""
         plan, spec = plan_city(self.spec), self.spec
         folder = self.root / plan.info.name / "satellite"
         paths = [folder / plan.tile_names[tile] for tile in self.tiles]

@@ -55,9 +55,9 @@ def fit(
     room = lot.buffer(-gap_m)
     for shrink in (1.0, 0.85, 0.7, 0.55):
         for _ in range(3):
-            place = rectangle(
+            candidate = rectangle(
                 anchor + rng.normal(0, 1.0, 2), along, length * shrink, width * shrink
             )
-            if room.contains(place):
-                return place
+            if room.contains(candidate):
+                return candidate
     return None

@@ -35,13 +35,13 @@ class Panorama:
 
     Parameters
     ----------
-    place : (x, y, z)
+    position : (x, y, z)
         Metres.
     shape : (rows, columns)
         Rows go from the zenith to the nadir.
     """
 
-    place: tuple[float, float, float]
+    position: tuple[float, float, float]
     shape: tuple[int, int]
 
     def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
@@ -51,7 +51,7 @@ class Panorama:
         level = np.cos(elevation)
         directions = [level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)]
         rays = np.stack(directions, axis=-1)
-        return np.broadcast_to(np.array(self.place), rays.shape), rays
+        return np.broadcast_to(np.array(self.position), rays.shape), rays
 
     def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Width of a pixel across the ray at a distance, metres."""
@@ -59,7 +59,7 @@ class Panorama:
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Rows and columns [n] where points [n, 3] show."""
-        x, y, z = (np.asarray(points) - self.place).T
+        x, y, z = (np.asarray(points) - self.position).T
         column = (np.arctan2(x, y) / (2 * np.pi) + 0.5) * self.shape[1]
         row = (0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * self.shape[0]
         return row, column
@@ -71,7 +71,7 @@ class Pinhole:
 
     Parameters
     ----------
-    place : (x, y, z)
+    position : (x, y, z)
         Metres.
     heading_deg
         Where the centre column looks, clockwise from north.
@@ -82,24 +82,24 @@ class Pinhole:
         The row at the height of the camera. The centre column is columns / 2.
     """
 
-    place: tuple[float, float, float]
+    position: tuple[float, float, float]
     heading_deg: float
     shape: tuple[int, int]
     focal_pixels: float
     horizon_row: float
 
-    def _axes(self) -> tuple[Floats, Floats]:
+    def _ahead_and_right(self) -> tuple[Floats, Floats]:
         sin, cos = np.sin(np.radians(self.heading_deg)), np.cos(np.radians(self.heading_deg))
         return np.array([sin, cos, 0.0]), np.array([cos, -sin, 0.0])
 
     def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
         """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
-        ahead, right = self._axes()
+        ahead, right = self._ahead_and_right()
         across = (np.asarray(column) - self.shape[1] / 2)[..., None] / self.focal_pixels
         up = (self.horizon_row - np.asarray(row))[..., None] / self.focal_pixels
         rays = ahead + across * right + up * np.array([0.0, 0.0, 1.0])
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        return np.broadcast_to(np.array(self.place), rays.shape), rays
+        return np.broadcast_to(np.array(self.position), rays.shape), rays
 
     def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Width of a pixel across the ray at a distance, metres."""
@@ -107,8 +107,8 @@ class Pinhole:
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Rows and columns [n] where points [n, 3] in front of the camera show."""
-        ahead, right = self._axes()
-        offset = np.asarray(points) - self.place
+        ahead, right = self._ahead_and_right()
+        offset = np.asarray(points) - self.position
         depth = offset @ ahead
         column = self.shape[1] / 2 + self.focal_pixels * (offset @ right) / depth
         return self.horizon_row - self.focal_pixels * offset[..., 2] / depth, column

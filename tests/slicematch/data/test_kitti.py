@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from slicematch.data.dataset import PoseDataset
 from slicematch.data.errors import DatasetError, SampleError
@@ -16,6 +17,16 @@ from slicematch.data.kitti import (
 )
 
 SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
+# What editors and other programs make of a text of lines.
+WRITINGS = {
+    "blank lines": lambda text: ("\n\n" + text.replace("\n", "\n\n")).encode(),
+    "lines of a space": lambda text: (" \n" + text.replace("\n", "\n \n")).encode(),
+    "byte-order mark": lambda text: text.encode("utf-8-sig"),
+    "byte-order mark on a line of its own": lambda text: ("\ufeff\n" + text).encode(),
+    "CRLF": lambda text: text.replace("\n", "\r\n").encode(),
+    "tabs": lambda text: text.replace(" ", "\t").encode(),
+    "spaces at both ends": lambda text: ("  " + text.replace("\n", " \n  ")).encode(),
+}
 DRIVE = "2011_09_26/2011_09_26_drive_0001_sync"
 
 
@@ -29,7 +40,7 @@ def test_the_crop_spans_100_26_metres():
 
 
 @pytest.mark.parametrize(
-    ("shift_m", "turn_deg", "right_m", "up_m", "heading_deg"),
+    ("shift_m", "rotation_deg", "right_m", "up_m", "heading_deg"),
     [
         ((0, 0), 0, 0, 0, 90),
         ((20, 0), 0, 20, 0, 90),
@@ -43,14 +54,14 @@ def test_the_crop_spans_100_26_metres():
         ((0, 0), 90.00000000000001, 0, 0, 0),  # -1e-14 % 360 rounds to 360 itself
     ],
 )
-def test_the_closed_form(shift_m, turn_deg, right_m, up_m, heading_deg):
-    pose = camera_pose(np.array(shift_m, dtype=float), turn_deg)
+def test_the_closed_form(shift_m, rotation_deg, right_m, up_m, heading_deg):
+    pose = camera_pose(np.array(shift_m, dtype=float), rotation_deg)
     expected = [0.5 + right_m / SPAN_M, 0.5 - up_m / SPAN_M, heading_deg]
     assert pose == pytest.approx(expected, abs=1e-12)
     assert 0 <= pose[2] < 360
 
 
-def cut_step_by_step(tile, heading, sx, sy, turn_deg):
+def cut_step_by_step(tile, heading, sx, sy, rotation_deg):
     """LM's image operations one after the other; sx and sy are those of a test line."""
     tile = tile.rotate(-np.degrees(heading), resample=Image.Resampling.BILINEAR)
     ahead, right = 1.08 / METRES_PER_PIXEL, 0.26 / METRES_PER_PIXEL
@@ -59,7 +70,7 @@ def cut_step_by_step(tile, heading, sx, sy, turn_deg):
         tile = tile.transform(
             tile.size, Image.Transform.AFFINE, (1, 0, x, 0, 1, y), Image.Resampling.BILINEAR
         )
-    tile = tile.rotate(turn_deg, resample=Image.Resampling.BILINEAR)
+    tile = tile.rotate(rotation_deg, resample=Image.Resampling.BILINEAR)
     left = (tile.width - 512) // 2
     return tile.crop((left, left, left + 512, left + 512))
 
@@ -72,11 +83,11 @@ def random_cuts(count=6):
     ]
 
 
-@pytest.mark.parametrize(("heading", "sx", "sy", "turn_deg"), random_cuts())
-def test_one_resampling_cuts_what_lm_cuts_in_five(paint_texture, heading, sx, sy, turn_deg):
+@pytest.mark.parametrize(("heading", "sx", "sy", "rotation_deg"), random_cuts())
+def test_one_resampling_cuts_what_lm_cuts_in_five(paint_texture, heading, sx, sy, rotation_deg):
     tile = Image.fromarray(paint_texture(np.random.default_rng(0), 1280, blocks=40))
-    once = cut_tile(tile, heading, 20 * np.array([sx, sy]), turn_deg)
-    steps = cut_step_by_step(tile, heading, sx, sy, turn_deg)
+    once = cut_tile(tile, heading, 20 * np.array([sx, sy]), rotation_deg)
+    steps = cut_step_by_step(tile, heading, sx, sy, rotation_deg)
 
     def mismatch(image, other):
         # Each resampling rounds down: five of them are darker by a grey level or two throughout.
@@ -102,11 +113,11 @@ def find_spot(image):
     return shown.sum(axis=0) @ at / shown.sum(), shown.sum(axis=1) @ at / shown.sum()
 
 
-@pytest.mark.parametrize(("heading", "sx", "sy", "turn_deg"), random_cuts())
-def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, turn_deg):
+@pytest.mark.parametrize(("heading", "sx", "sy", "rotation_deg"), random_cuts())
+def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, rotation_deg):
     """And one 15 m ahead of the camera lies 15 m along the stated heading."""
     shift = 20 * np.array([sx, sy])
-    u, v, heading_deg = camera_pose(shift, turn_deg)
+    u, v, heading_deg = camera_pose(shift, rotation_deg)
     # The camera stands 1.08 m ahead of the GPS unit and 0.26 m to its right.
     camera = np.array(
         [
@@ -116,11 +127,11 @@ def test_a_landmark_at_the_camera_lies_at_the_stated_pose(heading, sx, sy, turn_
     )
     ahead = camera + 15 * np.array([np.cos(heading), np.sin(heading)])
     tolerance = 0.1 / 512  # a tenth of a pixel
-    at_camera = cut_tile(paint_spot(1280, *camera), heading, shift, turn_deg)
+    at_camera = cut_tile(paint_spot(1280, *camera), heading, shift, rotation_deg)
     assert find_spot(at_camera) == pytest.approx((u, v), abs=tolerance)
     angle = np.radians(heading_deg)
     expected = u + 15 / SPAN_M * np.sin(angle), v - 15 / SPAN_M * np.cos(angle)
-    at_ahead = cut_tile(paint_spot(1280, *ahead), heading, shift, turn_deg)
+    at_ahead = cut_tile(paint_spot(1280, *ahead), heading, shift, rotation_deg)
     assert find_spot(at_ahead) == pytest.approx(expected, abs=tolerance)
 
 
@@ -334,3 +345,21 @@ def test_an_oddly_sized_image_is_named(make_kitti_tree, tmp_path, folder, size):
         open_kitti(tmp_path)[0]
     assert str(path) in str(error.value)
     assert f"{size[0]}x{size[1]} pixels" in str(error.value)
+
+
+@pytest.mark.parametrize("write", WRITINGS.values(), ids=WRITINGS)
+def test_text_files_as_editors_write_them(make_kitti_tree, tmp_path, write):
+    """Splits, oxts and calibration."""
+    make_kitti_tree(tmp_path, pairs=2)
+    parts = ("train", "test")
+    before = [open_kitti(tmp_path, part) for part in parts]
+    samples = [dataset[1] for dataset in before]
+    texts = [path for path in tmp_path.rglob("*.txt") if path.stat().st_size]
+    assert {path.parent.name for path in texts} == {tmp_path.name, "data", "2011_09_26"}
+    for path in texts:
+        path.write_bytes(write(path.read_text()))
+    for part, old, sample in zip(parts, before, samples, strict=True):
+        new = open_kitti(tmp_path, part)
+        assert (new.names, new.hfov_deg) == (old.names, old.hfov_deg)
+        assert np.array_equal(new.poses(), old.poses())
+        assert all(torch.equal(new[1][key], sample[key]) for key in ("ground", "aerial"))

@@ -1,9 +1,15 @@
 """Panoramas: whole spheres, turned to a heading."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
-from slicematch.data.panoramas import turn_panorama
+from PIL.PngImagePlugin import PngInfo
+from slicematch.data import panoramas
+from slicematch.data.panoramas import read_panorama, turn_panorama
+
+from slicemask.errors import ImageError
 
 
 def marked_panorama(width, azimuth_deg):
@@ -50,3 +56,150 @@ def test_both_edges_of_a_turned_panorama_wrap_round(paint_texture):
     straight = np.asarray(turn_panorama(image, 0.0, (64, 128)), dtype=int)
     half = np.asarray(turn_panorama(image, 180.0, (64, 128)), dtype=int)
     assert np.abs(np.roll(half, 64, axis=1) - straight).max() <= 1
+
+
+FIELDS = {
+    "FullPanoWidthPixels": 64,
+    "FullPanoHeightPixels": 32,
+    "CroppedAreaImageWidthPixels": 40,
+    "CroppedAreaImageHeightPixels": 20,
+    "CroppedAreaLeftPixels": 8,
+    "CroppedAreaTopPixels": 4,
+}
+
+
+def packet(fields, style="attributes", prefix="GPano"):
+    if style == "attributes":
+        inside = " ".join(f'{prefix}:{key}="{value}"' for key, value in fields.items()) + "/>"
+    else:
+        elements = (f"<{prefix}:{key}> {value}\n</{prefix}:{key}>" for key, value in fields.items())
+        inside = f">{''.join(elements)}</rdf:Description>"
+    return (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+        'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+        f'xmlns:{prefix}="http://ns.google.com/photos/1.0/panorama/" {inside}'
+        "</rdf:RDF></x:xmpmeta>"
+    ).encode()
+
+
+def tagged(pixels, fields, **style):
+    image = Image.fromarray(pixels)
+    image.info["xmp"] = packet(fields, **style)
+    return image
+
+
+def part(width=40, height=20):
+    return np.random.default_rng(3).integers(1, 256, (height, width, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("style", ["attributes", "elements"])
+@pytest.mark.parametrize("prefix", ["GPano", "pano"])
+def test_a_part_of_a_sphere_is_pasted_where_it_belongs(style, prefix):
+    pixels = part()
+    sphere = np.asarray(read_panorama(tagged(pixels, FIELDS, style=style, prefix=prefix)).image)
+    expected = np.zeros((32, 64, 3), np.uint8)
+    expected[4:24, 8:48] = pixels
+    assert np.array_equal(sphere, expected)
+
+
+def test_a_part_may_reach_across_the_seam():
+    pixels = part()
+    fields = FIELDS | {"CroppedAreaLeftPixels": 50}
+    sphere = np.asarray(read_panorama(tagged(pixels, fields)).image)
+    assert np.array_equal(sphere[4:24, 50:], pixels[:, :14])
+    assert np.array_equal(sphere[4:24, :26], pixels[:, 14:])
+    assert not sphere[4:24, 26:50].any()
+
+
+def test_a_part_that_was_made_smaller_keeps_its_proportions():
+    sphere = read_panorama(tagged(part(20, 10), FIELDS)).image
+    assert sphere.size == (32, 16)
+    assert np.array_equal(np.asarray(sphere)[2:12, 4:24], part(20, 10))
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tif"])
+def test_every_format_carries_the_data(tmp_path, suffix):
+    path = tmp_path / f"part.{suffix}"
+    content = packet(FIELDS)
+    info = PngInfo()
+    info.add_itxt("XML:com.adobe.xmp", content.decode())
+    options = {
+        "jpg": {"quality": 100},
+        "png": {"pnginfo": info},
+        "webp": {"xmp": content, "lossless": True},
+        "tif": {"tiffinfo": {700: content}},
+    }
+    Image.fromarray(part()).save(path, **options[suffix])
+    if suffix == "jpg":  # by hand, since older versions of Pillow write none
+        segment = b"http://ns.adobe.com/xap/1.0/\0" + content
+        data = path.read_bytes()
+        head = b"\xff\xe1" + (len(segment) + 2).to_bytes(2, "big")
+        path.write_bytes(data[:2] + head + segment + data[2:])
+    for source in (path, Image.open(path)):
+        sphere = np.asarray(read_panorama(source).image)
+        assert sphere.shape == (32, 64, 3)
+        assert sphere[4:24, 8:48].any(axis=(0, 2)).all()
+        assert not sphere[26:].any()
+
+
+def test_the_heading_is_handed_on():
+    whole = part(64, 32)
+    assert read_panorama(Image.fromarray(whole)).heading_deg is None
+    for written, heading_deg in (("90.5", 90.5), ("-90", 270.0), ("360", 0.0)):
+        panorama = read_panorama(tagged(whole, {"PoseHeadingDegrees": written}))
+        assert panorama.heading_deg == heading_deg
+        assert np.array_equal(panorama.image, whole)
+
+
+def test_what_the_data_say_is_logged_once_of_each_kind(caplog, monkeypatch):
+    monkeypatch.setattr(panoramas, "_said", set())
+    for _ in range(2):
+        read_panorama(tagged(part(), FIELDS | {"PoseHeadingDegrees": 30}))
+    assert sorted(text.partition(": ")[2] for text in caplog.messages) == [
+        "is a part of a sphere, as its GPano data say; the rest is black",
+        "its GPano data say that it faces 30 degrees",
+    ]
+
+
+@pytest.mark.parametrize("key", ["PosePitchDegrees", "PoseRollDegrees"])
+def test_tilted_panoramas_are_refused(key):
+    for tilt in (0, 1.9, -1.9, 359):
+        read_panorama(tagged(part(64, 32), {key: tilt}))
+    for tilt in (2.1, -30, 180):
+        with pytest.raises(ImageError, match=f"say {key} {tilt:g}; .* level within 2 degrees"):
+            read_panorama(tagged(part(64, 32), {key: tilt}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ProjectionType": "cylindrical"}, "projection is 'cylindrical'.*must be equirectangular"),
+        ({"FullPanoWidthPixels": "wide"}, "say FullPanoWidthPixels 'wide'; expected a number"),
+        ({"PoseHeadingDegrees": "nan"}, "say PoseHeadingDegrees 'nan'; expected a number"),
+        ({"CroppedAreaTopPixels": 20}, "40x20 pixels do not fit its GPano data .*TopPixels 20"),
+        ({"CroppedAreaTopPixels": -1}, "do not fit its GPano data"),
+        ({"CroppedAreaLeftPixels": 64}, "do not fit its GPano data"),
+        ({"CroppedAreaImageHeightPixels": 28}, "do not fit its GPano data"),
+        ({"CroppedAreaImageWidthPixels": -40}, "do not fit its GPano data"),
+        ({"FullPanoHeightPixels": 40}, "64x40 pixels; a panorama must be 2 times as wide"),
+    ],
+)
+def test_data_that_do_not_fit_are_refused(change, message):
+    with pytest.raises(ImageError, match=message):
+        read_panorama(tagged(part(), FIELDS | change))
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "row", "column"), [("crop", (256, 128), 14, 0), ("half", (512, 256), 64, 128)]
+)
+def test_parts_as_cameras_write_them(name, size, row, column):
+    path = Path(__file__).parents[4] / "shared" / "data" / "awkward" / f"pano_gpano_{name}.jpg"
+    if not path.is_file():
+        pytest.skip("the awkward inputs are not here")
+    sphere = read_panorama(path).image
+    assert sphere.size == size
+    pixels = np.asarray(Image.open(path))
+    height, width, _ = pixels.shape
+    found = np.asarray(sphere)
+    assert np.array_equal(found[row : row + height, column : column + width], pixels)
+    assert found.astype(int).sum() == pixels.astype(int).sum()

@@ -1,12 +1,17 @@
 """What the data sets share: settings, and what becomes of samples that cannot be read."""
 
 import json
+import os
+import resource
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import torch
 from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
 from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.kitti import KittiConfig
+from slicematch.data.text import read_lines
 from slicematch.data.vigor import VigorConfig
 from torch.utils.data import DataLoader
 
@@ -144,3 +149,30 @@ def test_an_unknown_part_is_named(make_vigor_tree, tmp_path):
     make_vigor_tree(tmp_path, pairs=1)
     with pytest.raises(DatasetError, match="part is 'val'; it must be one of train, validation"):
         open_vigor(tmp_path, "val")
+
+
+def test_running_out_of_open_files_makes_no_sample_unreadable(make_kitti_tree, tmp_path):
+    """Neither an image nor a text file is to blame, so none is written down as such."""
+    make_kitti_tree(tmp_path / "data", pairs=1)
+    config = KittiConfig(
+        root=tmp_path / "data", ground_size=(32, 64), aerial_size=64, validation_fraction=0.0
+    )
+    bad_sample_log = BadSampleLog(tmp_path / "bad_samples.jsonl")
+    dataset = PoseDataset(config, "test", bad_sample_log)
+    assert dataset[0] is not None
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    held = []
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft if soft < 256 else 256, hard))
+    try:
+        with suppress(OSError):
+            while True:
+                held.append(os.open(__file__, os.O_RDONLY))
+        with pytest.raises(OSError, match="Too many open files"):
+            dataset[0]
+        with pytest.raises(OSError, match="Too many open files"):
+            read_lines(Path(__file__), "the file", "")
+    finally:
+        for file in held:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert not bad_sample_log.entries()

@@ -17,6 +17,17 @@ from slicemask import PoseGrid
 
 SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
 REAL = Path(__file__).parents[4] / "shared" / "data" / "vigor_labels"
+# What editors and other programs make of a text of lines.
+WRITINGS = {
+    "blank lines": lambda text: ("\n\n" + text.replace("\n", "\n\n") + "\n\n\n").encode(),
+    "lines of a space": lambda text: (" \n" + text.replace("\n", "\n \n") + "\n ").encode(),
+    "lines of a tab": lambda text: (text.replace("\n", "\n\t\n") + "\n\t").encode(),
+    "byte-order mark": lambda text: text.encode("utf-8-sig"),
+    "byte-order mark on a line of its own": lambda text: ("\ufeff\n" + text).encode(),
+    "CRLF": lambda text: (text.replace("\n", "\r\n") + "\r\n").encode(),
+    "CR": lambda text: text.replace("\n", "\r").encode(),
+    "all of it": lambda text: ("\ufeff \r\n" + text.replace("\n", "\r\n\t\r\n")).encode(),
+}
 QUARTER = (0.25, 0.25, 0.75, 0.75)
 
 
@@ -138,6 +149,80 @@ def test_a_line_that_is_no_label_is_named(make_vigor_tree, tmp_path, edit, line)
     path.write_text("\n".join(lines))
     with pytest.raises(DatasetError, match=rf"corrected\.txt, line {line}: is no label, since "):
         open_vigor(tmp_path, cities=("Chicago",))
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "shown"),
+    [
+        (3, "nan", "field 3 (d0) is 'nan'; expected a number of pixels"),
+        (4, "inf", "field 4 (d1) is 'inf'; expected a number of pixels"),
+        (4, "1e999", "field 4 (d1) is '1e999'"),
+        (3, "1_0", "field 3 (d0) is '1_0'"),
+        (3, "\u0661", "field 3 (d0) is '\u0661'"),
+        (3, '"12.5"', "field 3 (d0) is '\"12.5\"'"),
+        (7, "'3'", "field 7 (d1) is \"'3'\""),
+        (13, "12.5\t", "field 13 (d1) is '12.5\\t'"),
+        (1, '"pano,,1.jpg"', "field 1 (panorama) is '\"pano,,1.jpg\"'; expected a bare file name"),
+        (5, "'sat.png'", "field 5 (aerial tile) is \"'sat.png'\"; expected a bare file name"),
+        (2, "\tsat.png", "field 2 (aerial tile) is '\\tsat.png'; expected a bare file name"),
+        (1, "", "field 1 (panorama) is ''; expected a file's name"),
+    ],
+)
+def test_the_field_that_is_no_label_is_shown(make_vigor_tree, tmp_path, field, text, shown):
+    make_vigor_tree(tmp_path, pairs=3)
+    path = label_file(tmp_path, "same_area_balanced_train")
+    lines = path.read_text().split("\n")
+    fields = lines[1].split(" ")
+    fields[field - 1] = text
+    lines[1] = " ".join(fields)
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(DatasetError) as caught:
+        open_vigor(tmp_path, cities=("Chicago",))
+    message = str(caught.value)
+    assert f"{path}, line 2: is no label, since {shown}" in message
+    assert len(message) < len(str(path)) + 150
+
+
+@pytest.mark.parametrize("write", WRITINGS.values(), ids=WRITINGS)
+def test_label_files_as_editors_write_them(make_vigor_tree, tmp_path, write):
+    make_vigor_tree(tmp_path, pairs=3)
+    before = open_vigor(tmp_path, cities=("Chicago",))
+    path = label_file(tmp_path, "same_area_balanced_train")
+    path.write_bytes(write(path.read_text()))
+    after = open_vigor(tmp_path, cities=("Chicago",))
+    assert after.names == before.names
+    assert np.array_equal(after.poses(), before.poses())
+
+
+@pytest.mark.parametrize("labels", ["corrected", "original"])
+@pytest.mark.parametrize("within", [True, False], ids=["in the root", "elsewhere"])
+def test_labels_may_be_a_folder(make_vigor_tree, tmp_path, labels, within):
+    root = tmp_path / "data"
+    make_vigor_tree(root, pairs=2)
+    expected = open_vigor(root, labels=labels, cities=("Chicago",)).poses()
+    home = {"corrected": "splits__corrected", "original": "splits"}[labels]
+    folder = (root if within else tmp_path) / "my_labels"
+    (root / home).rename(folder)
+    for split in ("splits", "splits__corrected"):
+        shutil.rmtree(root / split, ignore_errors=True)
+    named = "my_labels" if within else str(folder)
+    assert np.array_equal(open_vigor(root, labels=named, cities=("Chicago",)).poses(), expected)
+
+
+def test_the_corrected_labels_of_a_folder_come_first(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=2)
+    expected = open_vigor(tmp_path, cities=("Chicago",)).poses()
+    shutil.copytree(tmp_path / "splits", tmp_path / "both")
+    shutil.copytree(tmp_path / "splits__corrected", tmp_path / "both", dirs_exist_ok=True)
+    found = open_vigor(tmp_path, labels="both", cities=("Chicago",)).poses()
+    assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize("labels", ["splits_newest", "Corrected", ""])
+def test_labels_that_are_neither_a_word_nor_a_folder(make_vigor_tree, tmp_path, labels):
+    make_vigor_tree(tmp_path, pairs=1)
+    with pytest.raises(DatasetError, match=f"labels is '{labels}'; it must be corrected, original"):
+        open_vigor(tmp_path, labels=labels, cities=("Chicago",))
 
 
 @pytest.mark.parametrize(
