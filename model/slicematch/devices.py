@@ -1,7 +1,7 @@
 """Where a model is trained, where it runs, and in how many bits."""
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import get_args
+from typing import cast, get_args
 
 import torch
 
@@ -28,7 +28,7 @@ def check_precision(precision: str, device: torch.device) -> Precision:
             "precision '16-mixed' is for GPUs, a CPU takes hundreds of times longer; choose "
             "bf16-mixed"
         )
-    return precision
+    return cast(Precision, precision)
 
 
 def autocast(device: torch.device, precision: Precision) -> AbstractContextManager[object]:

@@ -60,7 +60,8 @@ def split_by_size(orbit: SectorOrbit, cells: int) -> Iterator[SectorOrbit]:
 
 
 def _piece_slices(orbit: SectorOrbit, cells: int) -> int:
-    return max(1, _PIECE_VALUES // (cells**2 * orbit.in_tile.shape[1]))
+    bands: int = orbit.in_tile.shape[1]
+    return max(1, _PIECE_VALUES // (cells**2 * bands))
 
 
 def mask_rows(orbit: SectorOrbit, frustum: Frustum, cells: int, engine: Engine) -> list[Rows]:

@@ -119,7 +119,7 @@ def build(
             jobs=jobs,
             progress=progress,
         )
-    content = {
+    content: dict[str, Any] = {
         "path": str(result.path),
         "reused": result.reused,
         "poses": len(poses),

@@ -164,19 +164,6 @@ class PoseGrid:
             )
         return (row * self.columns + column) * self.headings + heading
 
-    def unravel(self, k: int) -> tuple[int, int, int]:
-        """Row, column and heading of pose index k, the inverse of `index`.
-
-        Raises
-        ------
-        PoseError
-            If k is not in the grid.
-        """
-        if not is_whole(k) or not 0 <= k < len(self):
-            raise PoseError(f"pose {k} is not in the grid {self}; it holds 0 to {len(self) - 1}")
-        place, heading = divmod(k, self.headings)
-        return (*divmod(place, self.columns), heading)
-
 
 def check_poses(poses: ArrayLike, names: Iterator[str] | None = None) -> NDArray[np.float64]:
     """Return poses as float64 [K, 3], headings wrapped to [0, 360).

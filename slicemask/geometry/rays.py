@@ -329,14 +329,10 @@ class _Workspace:
         fits = self.scratch_a is not None and self.scratch_a.shape == shape
         if fits and shared:
             return self
-        arrays = (
-            (self.along_row, self.along_column, self.scratch_a, self.scratch_b)
-            if fits
-            else tuple(np.empty(shape) for _ in range(4))
-        )
-        for array, lattice in zip(arrays, lattices, strict=False):
+        found = self if fits else _Workspace(*map(np.empty, [shape] * 4))
+        for array, lattice in zip((found.along_row, found.along_column), lattices, strict=True):
             array[:] = lattice if shared else lattice[:, some, :]
-        return _Workspace(*arrays, lattices)
+        return replace(found, lattices=lattices)
 
 
 def _areas(

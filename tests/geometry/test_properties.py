@@ -123,7 +123,7 @@ def test_places_next_to_zero_are_zero(tiny, projection, bands):
 def test_a_pose_index_comes_back(rows, columns, headings, places, data):
     grid = PoseGrid(rows, columns, headings, extent=(0.1, 0.2, 0.7, 0.9), places=places)
     k = data.draw(st.integers(0, len(grid) - 1))
-    row, column, heading = grid.unravel(k)
+    row, column, heading = map(int, np.unravel_index(k, grid.shape))
     assert grid.index(row, column, heading) == k
     assert grid.poses(k, k + 1)[0].tolist() == [
         grid.u[column], grid.v[row], grid.headings_deg[heading],

@@ -5,11 +5,12 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from slicematch.devices import Precision, check_precision
+from slicematch.devices import check_precision
 from slicematch.errors import ConfigError
 from slicematch.network.aggregation import AerialAttention, GroundAggregator
 from slicematch.network.bands import BandedGroundAggregator, RangeBands
 from slicematch.network.encoders import Encoder
+from slicematch.precision import Precision
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates
 
