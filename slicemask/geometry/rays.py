@@ -329,7 +329,10 @@ class _Workspace:
         fits = self.scratch_a is not None and self.scratch_a.shape == shape
         if fits and shared:
             return self
-        found = self if fits else _Workspace(*map(np.empty, [shape] * 4))
+        found = self
+        if not fits:
+            along_row, along_column, scratch_a, scratch_b = (np.empty(shape) for _ in range(4))
+            found = _Workspace(along_row, along_column, scratch_a, scratch_b)
         for array, lattice in zip((found.along_row, found.along_column), lattices, strict=True):
             array[:] = lattice if shared else lattice[:, some, :]
         return replace(found, lattices=lattices)

@@ -5,6 +5,7 @@ import math
 from PIL import Image
 
 from slicemask.geometry.frustum import Projection
+from slicemask.images import ASPECT_TOLERANCE
 from slicematch.data.errors import DatasetError
 
 Elevations = tuple[float, float]
@@ -37,6 +38,42 @@ def image_elevations(projection: Projection, hfov_deg: float, aspect: float) -> 
     return -highest, highest
 
 
+def check_elevations(
+    elevations: Elevations | None,
+    projection: Projection,
+    hfov_deg: float,
+    aspect: float,
+    tolerance: float = 0.0,
+) -> None:
+    """Refuse elevations that ground images do not show.
+
+    Parameters
+    ----------
+    elevations : (lowest, highest) or None
+        Degrees above the horizon; None for all.
+    projection, hfov_deg, aspect
+        Of the images: see `image_elevations`.
+    tolerance : float
+        By which share of their height the images may show less.
+
+    Raises
+    ------
+    DatasetError
+        If they do not show them.
+    """
+    if elevations is None:
+        return
+    shown = image_elevations(projection, hfov_deg, aspect)
+    reach = max(_height_of(abs(angle), projection) for angle in elevations)
+    if reach > _height_of(shown[1], projection) * (1.0 + tolerance) + 1e-9:
+        low, high = elevations
+        raise DatasetError(
+            f"elevations are {low:g},{high:g}; a {projection} image of {hfov_deg:.4g} degrees of "
+            f"HFoV, {aspect:.4g} times as wide as high, shows {shown[0]:.4g} to {shown[1]:.4g}: "
+            "choose a part of them"
+        )
+
+
 def crop_elevations(
     image: Image.Image, elevations: Elevations | None, projection: Projection, hfov_deg: float
 ) -> Image.Image:
@@ -64,14 +101,9 @@ def crop_elevations(
     if elevations is None:
         return image
     width, height = image.size
+    # Proportions may differ a little from those that the settings were checked with.
+    check_elevations(elevations, projection, hfov_deg, width / height, tolerance=ASPECT_TOLERANCE)
     shown = image_elevations(projection, hfov_deg, width / height)
-    low, high = elevations
-    if low < shown[0] - 1e-6 or high > shown[1] + 1e-6:
-        raise DatasetError(
-            f"elevations are {low:g},{high:g}; an image of {width}x{height} pixels and "
-            f"{hfov_deg:g} degrees of HFoV shows {shown[0]:.4g} to {shown[1]:.4g}: choose a part "
-            "of them"
-        )
     scale = [
         _height_of(angle, projection) / _height_of(shown[1], projection) for angle in (low, high)
     ]

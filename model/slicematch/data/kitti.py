@@ -15,7 +15,7 @@ from PIL import Image
 
 from slicemask.errors import ImageError
 from slicemask.images import check_aspect, read_aerial, read_image, resize
-from slicematch.data.elevations import crop_elevations
+from slicematch.data.elevations import check_elevations, crop_elevations
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.text import parse_number, read_lines
@@ -180,6 +180,7 @@ class KittiSource(Source):
         self.names = [paths[k] for k in chosen]
         self.tile_metres = np.full(len(chosen), SPAN_M)
         self.hfov_deg = find_hfov_deg(self._root)
+        check_elevations(config.elevations, config.projection, self.hfov_deg, config.ground_aspect)
 
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
         """The true pose of a sample; see `Source.pose`."""
