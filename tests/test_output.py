@@ -1,22 +1,25 @@
 """What commands say while they work."""
 
 import io
+from functools import partial
 
 import pytest
 
-from slicemask.cli.output import ProgressLines, progress_bar, readable_time, status_line
+from slicemask.cli.output import progress_bar, status_line
+from slicemask.progress import TimedLines, readable_time
 
 
-def test_off_a_terminal_a_line_comes_every_half_minute(capsys):
+def test_off_a_terminal_a_line_comes_every_half_minute(monkeypatch, capsys):
     seconds = 0.0
 
     def clock():
         return seconds
 
-    progress = ProgressLines("evaluating", "samples", clock)
-    for done in range(1, 1001):
-        seconds = done * 0.25
-        progress(done, 1000)
+    monkeypatch.setattr("slicemask.cli.output.TimedLines", partial(TimedLines, clock=clock))
+    with progress_bar("evaluating", "samples") as progress:
+        for done in range(1, 1001):
+            seconds = done * 0.25
+            progress(done, 1000)
     out, err = capsys.readouterr()
     assert out == ""
     lines = err.splitlines()

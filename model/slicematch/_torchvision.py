@@ -6,7 +6,8 @@ import then ends in "operator torchvision::nms does not exist", because it descr
 nobody has declared. Nothing here uses those operators. Declaring them, without an implementation,
 is enough for the import to go through; where the compiled library is there, nothing is declared.
 
-Import this module before timm or lightning.
+Import this module before timm or lightning. If one of these was tried first and failed, it can be
+imported once this module has been.
 """
 
 import torch

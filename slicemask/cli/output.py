@@ -2,15 +2,13 @@
 
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import click
 
-# Where nobody watches a bar, and a log may keep every line.
-SECONDS_BETWEEN_LINES = 30.0
+from slicemask.progress import TimedLines
 
 
 @contextmanager
@@ -28,7 +26,7 @@ def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
         To be called with how many are done and how many there are in all.
     """
     if not sys.stderr.isatty():
-        yield ProgressLines(what, unit)
+        yield TimedLines(what, unit, lambda line: click.echo(line, err=True))
         return
     from rich.console import Console
     from rich.progress import (
@@ -55,43 +53,6 @@ def progress_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-class ProgressLines:
-    """Says on stderr how far something is, about every 30 seconds, with the time left.
-
-    Parameters
-    ----------
-    what, unit : str
-        As for `progress_bar`.
-    clock : callable
-        Gives seconds.
-    """
-
-    def __init__(self, what: str, unit: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self._what = what
-        self._unit = unit
-        self._clock = clock
-        self._start = self._said = clock()
-
-    def __call__(self, done: int, total: int) -> None:
-        """Say it, if it is time again."""
-        now = self._clock()
-        if now - self._said < SECONDS_BETWEEN_LINES or not 0 < done < total:
-            return
-        self._said = now
-        left = (now - self._start) / done * (total - done)
-        click.echo(
-            f"{self._what}: {done:,} of {total:,} {self._unit}, about {readable_time(left)} left",
-            err=True,
-        )
-
-
-def readable_time(seconds: float) -> str:
-    """A time as people read it, such as 45 s, 12 min or 3.5 h."""
-    if seconds < 99.5:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 99.5 * 60 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager

@@ -1,11 +1,11 @@
 """Commands that fit: train and calibrate."""
 
-import json
 import sys
 from typing import Any
 
 import click
 
+from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import as_json_option, cache_option
 from slicemask.cli.output import print_result, progress_bar
 from slicemask.cli.run_options import (
@@ -37,18 +37,21 @@ def train(
 ) -> None:
     """Train SliceMatch; the paper's settings are the defaults."""
     check_model_installed()
-    from slicematch.runs.folder import plan_run
+    from slicematch.runs.folder import RunFolder, plan_run
     from slicematch.training.train import is_first_process, train
 
     config, folder = plan_run(given_settings(settings), config_file, out, resume)
-    run = train(config, folder, resume=resume, cache=cache, progress=sys.stderr.isatty())
+    with messages_on_stderr("slicematch"):
+        run = train(config, folder, resume=resume, cache=cache, progress=sys.stderr.isatty())
     if not is_first_process():
         return
-    epochs = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
-    content = {"run": str(run), "epochs": len(epochs), "last_epoch": epochs[-1]}
-    figures = ", ".join(f"{name} {value:.4g}" for name, value in epochs[-1].items() if "/" in name)
-    count = "1 epoch" if len(epochs) == 1 else f"{len(epochs)} epochs"
-    print_result(as_json, content, f"{run}: {count} trained; the last one: {figures}")
+    epochs = RunFolder(run).load_metrics()
+    last = epochs[-1] if epochs else {}
+    count = last.get("epoch", -1) + 1
+    content = {"run": str(run), "epochs": count, "last_epoch": last}
+    figures = ", ".join(f"{name} {value:.4g}" for name, value in last.items() if "/" in name)
+    text = f"{run}: {count} epoch{'s' * (count != 1)} trained; the last one: {figures}"
+    print_result(as_json, content, text if epochs else f"{run}: holds no metrics of its epochs")
 
 
 @click.command()

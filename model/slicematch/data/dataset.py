@@ -17,6 +17,7 @@ from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 from slicematch.data.augmentation import recolour
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import normalise
+from slicematch.data.loading import raise_lack_of_resources
 from slicematch.data.source import DataConfig, Part
 from slicematch.priors import in_place_prior
 
@@ -58,9 +59,16 @@ class BadSampleLog:
         """
         if name not in self.entries():
             log.warning("sample %s is left out: %s", name, error)
-            # One short write in append mode: lines of several processes do not mix.
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"name": name, "error": str(error)}) + "\n")
+            line = json.dumps({"name": name, "error": str(error)}) + "\n"
+            try:
+                # One short write in append mode: lines of several processes do not mix.
+                with self.path.open("a", encoding="utf-8") as file:
+                    file.write(line)
+            except OSError as failure:
+                raise DatasetError(
+                    f"{self.path}: sample {name} is unreadable and cannot be written down there "
+                    f"({failure.strerror}); make room or name another folder"
+                ) from failure
         if len(self.entries()) > self.limit:
             raise DatasetError(
                 f"more than {self.limit} samples are unreadable, listed in {self.path}; mend them "
@@ -241,6 +249,7 @@ class PoseDataset(Dataset[Sample | None]):
         try:
             images = self._source.images(index, self._random(index))
         except ImageError as error:
+            raise_lack_of_resources(error)
             raise SampleError(str(error)) from error
         ground, aerial = (normalise(image, mean, std) for image in images)
         if not self._augmented:

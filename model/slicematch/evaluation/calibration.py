@@ -213,6 +213,10 @@ def calibrate(
             f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
             "temperature to; without one the loss's tau is used"
         )
+    try:
+        folder.load_calibration(config)
+    except RunError:  # it is to be replaced, and no localizer loads beside it
+        folder.calibration_file.unlink()
     localizer = Localizer.load(
         run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
     )

@@ -33,6 +33,13 @@ from slicematch.runs.settings import read_settings
 
 Checkpoint = Literal["best", "last"]
 
+# Settings that the file of every run holds, of any version, from its first line to its last ones.
+_IN_EVERY_RUN = (
+    *("data", "root", "split", "extent", "train_grid", "test_grid", "hfov_deg", "encoder"),
+    *("stride", "ground_size", "aerial_size", "slices", "tau", "learning_rate", "batch_size"),
+    *("epochs", "seed", "workers", "precision", "accelerator", "devices"),
+)
+
 
 @dataclass(frozen=True)
 class FittedTemperature:
@@ -99,16 +106,45 @@ class RunFolder:
         Raises
         ------
         RunError
-            If the folder is no run.
+            If the folder is no run, or its settings are cut short.
         ConfigError
-            If its settings cannot be read.
+            If its settings are unreadable.
         """
         if not self.config_file.is_file():
             raise RunError(
                 f"{self.path}: is no run folder, since it has no {self.config_file.name}; name "
                 "one that `slicemask train` wrote"
             )
+        self.read_settings()
         return TrainConfig.load(self.config_file)
+
+    def read_settings(self) -> dict[str, Any]:
+        """The run's settings as they stand in its file, of any version.
+
+        Raises
+        ------
+        RunError
+            If the file is cut short, so that defaults would stand in for the run's own settings.
+        ConfigError
+            If it is unreadable.
+        """
+        settings = read_settings(self.config_file)
+        missing = [name for name in _IN_EVERY_RUN if name not in settings]
+        if not missing and self.config_file.read_bytes().endswith(b"\n"):
+            return settings
+        lack = f"it lacks {missing[0]}" if missing else "its last line has no end"
+        raise RunError(
+            f"{self.config_file}: is cut short, {lack}; put the run's own file back, or train into "
+            "another folder"
+        )
+
+    def load_metrics(self) -> list[dict[str, Any]]:
+        """The metrics of each epoch, in order; a line that a crash has spoilt is passed over."""
+        try:
+            lines = self.metrics_file.read_bytes().splitlines(keepends=True)
+        except FileNotFoundError:
+            return []
+        return [entry for entry in map(_metrics, lines) if entry is not None]
 
     def load_calibration(self, config: TrainConfig) -> FittedTemperature | None:
         """The temperature that was fitted to the scores of the run, of these settings, if any was.
@@ -152,6 +188,16 @@ class RunFolder:
         return config, model.eval()
 
 
+def _metrics(line: bytes) -> dict[str, Any] | None:
+    """What a line of the metrics holds; None if it is not whole."""
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    whole = line.endswith(b"\n") and isinstance(entry, dict) and isinstance(entry.get("epoch"), int)
+    return entry if whole else None
+
+
 def plan_run(
     settings: Mapping[str, Any],
     config_file: str | Path | None = None,
@@ -174,13 +220,15 @@ def plan_run(
     Raises
     ------
     ConfigError
-        If a file cannot be read or a setting cannot be.
+        If a file is unreadable or a setting invalid.
+    RunError
+        If the settings of the run to resume are cut short.
     """
     asked = {**(read_settings(config_file) if config_file is not None else {}), **settings}
     folder = Path(out) if out is not None else Path("runs", str(asked.get("data", "run")))
-    own = RunFolder(folder).config_file
-    if resume and own.is_file():
-        asked = {**read_settings(own), **asked}
+    run = RunFolder(folder)
+    if resume and run.config_file.is_file():
+        asked = {**run.read_settings(), **asked}
     return TrainConfig.from_dict(asked), folder
 
 
@@ -189,7 +237,7 @@ def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
     return SliceMatch(
         encoder=config.encoder,
         weights=config.weights if weights is None else weights,
-        ground_size=config.ground_size,
+        ground_size=config.ground_size or config.data_config().ground_size,
         aerial_size=config.aerial_size,
         stride=config.stride,
         slices=config.slices,

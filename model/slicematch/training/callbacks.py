@@ -74,16 +74,15 @@ class _JsonLinesLogger(lightning.Callback):
     """Writes a line of JSON at the end of each epoch."""
 
     def __init__(self, run: RunFolder) -> None:
-        self.path = run.metrics_file
+        self.run = run
 
     def on_train_start(
         self, trainer: lightning.Trainer, pl_module: lightning.LightningModule
     ) -> None:
         """Forget the lines of epochs that a resumed run goes through again."""
-        if trainer.is_global_zero and self.path.exists():
-            lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
-            kept = "".join(lines[: trainer.current_epoch])
-            write_text(self.path, kept, RunError)
+        if trainer.is_global_zero and self.run.metrics_file.exists():
+            done = [e for e in self.run.load_metrics() if e["epoch"] < trainer.current_epoch]
+            write_text(self.run.metrics_file, "".join(map(_line, done)), RunError)
 
     def on_train_epoch_end(
         self, trainer: lightning.Trainer, pl_module: lightning.LightningModule
@@ -96,8 +95,12 @@ class _JsonLinesLogger(lightning.Callback):
             if name != "train/loss" and not name.endswith("_step")
         }
         line = {"epoch": trainer.current_epoch, "step": trainer.global_step, **metrics}
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line, allow_nan=False) + "\n")
+        with self.run.metrics_file.open("a", encoding="utf-8") as file:
+            file.write(_line(line))
+
+
+def _line(metrics: dict[str, Any]) -> str:
+    return json.dumps(metrics, allow_nan=False) + "\n"
 
 
 class _RelocateCheckpoints(lightning.Callback):

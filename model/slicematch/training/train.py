@@ -15,6 +15,7 @@ import numpy as np
 
 from slicemask import PoseGrid, build_bank
 from slicemask.files import check_folder
+from slicemask.progress import TimedLines
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.errors import ConfigError, RunError
@@ -28,6 +29,7 @@ from slicematch.scoring.candidates import Candidates
 from slicematch.training.callbacks import make_callbacks
 from slicematch.training.loaders import PoseDataModule
 from slicematch.training.module import TrainingModule
+from slicematch.training.progress import ProgressLines
 from slicematch.training.trainer import make_trainer
 
 import lightning.pytorch as lightning  # isort: skip
@@ -73,7 +75,8 @@ def train(
     cache : path, optional
         The folder of banks, as for `slicemask.build_bank`.
     progress : bool
-        Whether to draw a progress bar.
+        Whether to draw a progress bar; else a line is logged for each epoch, and about every 30
+        seconds, at level INFO.
 
     Returns
     -------
@@ -120,8 +123,9 @@ def train(
     )
 
     callbacks = make_callbacks(run, config, training, validation)
-    if progress:
-        callbacks.append(RichProgressBar(console_kwargs={"stderr": True}))
+    callbacks.append(
+        RichProgressBar(console_kwargs={"stderr": True}) if progress else ProgressLines()
+    )
     trainer = make_trainer(config, run, callbacks, progress)
 
     if is_first_process():
@@ -160,7 +164,12 @@ def train(
             log.warning(message)
         if validation is not None:
             device = "cpu" if config.accelerator == "cpu" else "auto"
-            calibrate(run.path, device=device, cache=cache)
+            calibrate(
+                run.path,
+                device=device,
+                cache=cache,
+                progress=TimedLines("calibrating", "samples", log.info),
+            )
     return run.path
 
 

@@ -110,15 +110,15 @@ def test_a_bank_of_ones_own(run, cache, images, tmp_path):
         Localizer.load(run, cache=cache, device="abacus")
 
 
-def test_pictures_that_cannot_be(localizer, images):
+def test_pictures_that_are_invalid(localizer, images):
     with pytest.raises(ImageError, match="an aerial tile must be square"):
         localizer.localize(images[0], images[0])
     with pytest.raises(ImageError, match="must be 2 times as wide as high"):
         localizer.localize(images[1], images[1])
     with pytest.raises(ImageError, match="nowhere"):
         localizer.localize("nowhere.jpg", images[1])
-    with pytest.raises(ImageError, match=r"an array float64 with shape \[4, 4\]"):
-        localizer.localize(images[0], np.zeros((4, 4)))
+    with pytest.raises(ImageError, match=r"an array float64 with shape \[4, 4, 2\]"):
+        localizer.localize(images[0], np.zeros((4, 4, 2)))
     for height, width in ((0, 0), (0, 8), (8, 0)):
         empty = np.zeros((height, width, 3), np.uint8)
         with pytest.raises(ImageError, match=rf"shape \[{height}, {width}, 3\]"):

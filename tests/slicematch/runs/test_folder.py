@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from hashlib import sha256
 
@@ -538,7 +540,8 @@ def spoil_weights(path):
             ),
             "does not fit",
         ),
-        (lambda run: (run / "config.yaml").write_text("evil: 1"), "'evil' is unknown"),
+        (lambda run: (run / "config.yaml").open("a").write("evil: 1\n"), "'evil' is unknown"),
+        (lambda run: (run / "config.yaml").write_text("tau: 1"), "is cut short, it lacks data"),
         (lambda run: spoil_weights(run / "checkpoints/best.ckpt"), "the run has diverged"),
     ],
 )
@@ -547,3 +550,105 @@ def test_spoilt_runs_are_refused_in_one_sentence(run, cache, spoil, said):
     with pytest.raises((RunError, ConfigError), match=said) as caught:
         Localizer.load(run, cache=cache)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("spoilt", ['{"name": "b", "err', '{"name": "b"', "\0\0\0"])
+def test_half_a_line_of_a_list_of_bad_samples(run, cache, spoilt):
+    """As a kill leaves it: the run goes on, and the list is whole again."""
+    (run / "bad_samples.jsonl").write_text('{"name": "a", "error": "b"}\n' + spoilt)
+    config = replace(RunFolder(run).load_config(), epochs=2)
+    train(config, run, resume=True, cache=cache, progress=False)
+    assert (run / "bad_samples.jsonl").read_text() == '{"name": "a", "error": "b"}\n'
+
+
+def cut(count):
+    return lambda content: content[:-count]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "epochs"),
+    [
+        (lambda content: content + b'{"epoch": 1, "st', [0, 1]),
+        (lambda content: content + b'{"epoch": 1, "step": 8}\n', [0, 1]),
+        (cut(1), [1]),
+        (cut(20), [1]),
+        (lambda content: b"\0" * len(content), [1]),
+        (lambda content: b"", [1]),
+    ],
+)
+def test_half_a_line_of_metrics(run, cache, spoil, epochs):
+    file = run / "metrics.jsonl"
+    file.write_bytes(spoil(file.read_bytes()))
+    config = replace(RunFolder(run).load_config(), epochs=2)
+    train(config, run, resume=True, cache=cache, progress=False)
+    assert [line["epoch"] for line in metrics(run)] == epochs
+    assert metrics(run) == RunFolder(run).load_metrics()
+
+
+@pytest.mark.parametrize("spoil", [lambda run: (run / "metrics.jsonl").write_text("{"), None])
+def test_the_command_says_what_the_metrics_hold(run, cache, spoil):
+    options = ["train", "--out", str(run), "--resume", "--cache", str(cache), "--json"]
+    if spoil is not None:
+        spoil(run)
+    result = CliRunner().invoke(main, options)
+    assert result.exit_code == 0, result.output
+    content = json.loads(result.stdout)
+    assert content["epochs"] == (1 if spoil is None else 0)
+    assert content["last_epoch"] == (metrics(run)[0] if spoil is None else {})
+
+
+@pytest.mark.parametrize("content", ["", '{\n "temperature": 0.', "[]", "\0\0"])
+def test_a_spoilt_calibration_is_written_anew(config, tmp_path, cache, content):
+    run = train(replace(config, epochs=1), tmp_path / "run", cache=cache, progress=False)
+    file = run / "calibration.json"
+    whole = file.read_text()
+    file.write_text(content)
+    with pytest.raises(RunError, match="write it anew with `slicemask calibrate`"):
+        Localizer.load(run, cache=cache)
+    calibrate(run, cache=cache)
+    assert file.read_text() == whole
+    file.write_text(content)
+    train(replace(config, epochs=2), run, resume=True, cache=cache, progress=False)
+    assert Localizer.load(run, cache=cache).calibrated
+
+
+def test_settings_that_are_cut_short_anywhere_are_refused(run, cache):
+    """Defaults never stand in for what a run was trained with."""
+    file = run / "config.yaml"
+    whole = file.read_bytes()
+    kept = RunFolder(run).load_config()
+    before = {path: path.read_bytes() for path in run.rglob("*") if path != file and path.is_file()}
+    for length in range(0, len(whole), 7):
+        file.write_bytes(whole[:length])
+        if whole[:length].endswith(b"\n") and b"\ndevices" in whole[:length]:
+            assert RunFolder(run).load_config() == kept  # the data set says the rest again
+            continue
+        with pytest.raises((RunError, ConfigError), match=r"config.yaml") as caught:
+            RunFolder(run).load_config()
+        assert "\n" not in str(caught.value)
+    file.write_bytes(whole[: whole.index(b"learning_rate")])
+    with pytest.raises(RunError, match=r"config.yaml: is cut short, it lacks learning_rate; put"):
+        plan_run({}, None, run, resume=True)
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_labels_off_their_tile_are_counted_aloud_once_a_part(config, tmp_path, cache):
+    root = shutil.copytree(config.root, tmp_path / "vigor")
+    file = root / "splits__corrected" / "Chicago" / "same_area_balanced_train__corrected.txt"
+    lines = file.read_text().splitlines()
+    fields = lines[0].split()
+    fields[2] = "330.0"  # of the 320 pixels from the tile's centre to its edge
+    file.write_text("\n".join([" ".join(fields), *lines[1:]]))
+    replace(config, root=str(root), epochs=1).save(tmp_path / "my.yaml")
+    arguments = ["train", "--config", tmp_path / "my.yaml", "--out", tmp_path / "run"]
+    done = subprocess.run(
+        [sys.executable, "-m", "slicemask", *map(str, arguments), "--cache", str(cache)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    said = [line for line in done.stderr.splitlines() if "off its tile" in line]
+    assert said == [
+        f"1 of the {part} part's labels are left out, since the camera stands off its tile"
+        for part in ("train", "validation")
+    ]
