@@ -115,7 +115,9 @@ def check_aspect(image: Image.Image, name: str | Path, aspect: float, kind: str)
         If the proportions differ.
     """
     width, height = image.size
-    if not width * height or abs(width / height / aspect - 1) > ASPECT_TOLERANCE:
+    expected = aspect * height
+    # The same for a quarter turn: 100x98 and 98x100 are both square, or neither is.
+    if not width or abs(width - expected) > ASPECT_TOLERANCE * max(width, expected):
         shape = "square" if aspect == 1 else f"{aspect:.4g} times as wide as high"
         raise ImageError(
             f"{name}: {width}x{height} pixels; {kind} must be {shape}: crop it, or name another"

@@ -31,7 +31,7 @@ class View:
         Field of view and slices.
     cells : int
         L, the cells along each side of the tile.
-    masks : float [N, L, L]
+    masks : float [N, L, L], or [N, B, L, L] with bands
         The slice masks.
     name : str
         A name for files.
@@ -45,7 +45,21 @@ class View:
 
 
 def view_at(pose: tuple[float, float, float], frustum: Frustum, cells: int) -> View:
-    """View any pose (u, v, heading_deg); its masks are computed now.
+    """View any pose; its masks are computed now.
+
+    Parameters
+    ----------
+    pose : (u, v, heading_deg)
+        u, v in [0, 1] of the aerial frame and heading_deg, any finite angle clockwise from north.
+    frustum : Frustum
+        Field of view and slices.
+    cells : int
+        L, the cells along each side of the tile.
+
+    Returns
+    -------
+    View
+        With the masks, float64 [N, L, L], or [N, B, L, L] with bands.
 
     Raises
     ------
@@ -54,9 +68,12 @@ def view_at(pose: tuple[float, float, float], frustum: Frustum, cells: int) -> V
     """
     checked = check_poses([pose])
     u, v, heading_deg = checked[0]
+    # As banks are named.
+    ranges = "-".join(f"{band_range:g}" for band_range in frustum.bands)
+    bands = f"_bands{ranges}" if ranges else ""
     name = (
         f"at_{u:g}-{v:g}-{heading_deg:g}_hfov{frustum.hfov_deg:g}_{frustum.projection}"
-        f"_n{frustum.slices}_l{cells}"
+        f"_n{frustum.slices}{bands}_l{cells}"
     )
     return View(checked[0], frustum, cells, slice_masks(checked, frustum, cells)[0], name)
 
@@ -75,10 +92,15 @@ def view_of_bank(
     cache : path, optional
         The cache folder; SLICEMASK_CACHE or ``./masks_cache`` by default.
 
+    Returns
+    -------
+    View
+        With the masks as the bank stores them, float32 [N, L, L], or [N, B, L, L] with bands.
+
     Raises
     ------
     BankError
-        If there is no such bank, or it cannot be read.
+        If there is no such bank, or it is unreadable.
     PoseError
         If the bank holds no such pose.
     """

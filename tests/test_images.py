@@ -286,3 +286,19 @@ except MemoryError:
     Image.new("RGB", (8, 8)).save(tmp_path / "small.png")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.stdout, done.returncode) == ("memory\n", 0), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("size", "square"),
+    [((128, 127), True), ((100, 98), True), ((98, 100), True), ((100, 97), False)],
+)
+@pytest.mark.parametrize("kind", ["path", "picture", "array"])
+def test_what_is_square_stays_so_when_turned(tmp_path, size, square, kind):
+    picture = Image.new("RGB", size, (90, 90, 90))
+    picture.save(tmp_path / "tile.png")
+    source = {"path": tmp_path / "tile.png", "picture": picture, "array": np.asarray(picture)}[kind]
+    if square:
+        assert read_aerial(source).size == size
+    else:
+        with pytest.raises(ImageError, match="100x97 pixels; an aerial tile must be square"):
+            read_aerial(source)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from PIL import Image
 from PIL.ImageColor import getrgb
 
 from slicemask import Frustum, SlicemaskError, slice_masks
+from slicemask.cli.main import main
 from slicemask.errors import ImageError, PlotError, PoseError, SpecError
 from slicemask.plot import (
     animate_heading,
@@ -394,3 +396,53 @@ def test_slices_are_drawn_on_axes_of_ones_own():
 def test_matplotlib_is_loaded_on_use_only():
     code = "import slicemask, slicemask.plot, sys; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("projection", ["equirectangular", "pinhole"])
+def test_bands_are_drawn_as_whole_slices_with_their_edges(projection):
+    from matplotlib.figure import Figure
+
+    banded = Frustum(80.0, 4, projection, (0.125, 0.25))
+    plain = Frustum(80.0, 4, projection)
+    axes, plain_axes = Figure().add_subplot(), Figure().add_subplot()
+    draw_slices(axes, slice_masks([CENTRE], banded, 8)[0], CENTRE, banded)
+    draw_slices(plain_axes, slice_masks([CENTRE], plain, 8)[0], CENTRE, plain)
+    cells = [shown.images[-1].get_array() for shown in (axes, plain_axes)]
+    assert np.allclose(*cells, rtol=0, atol=1e-6)
+
+    known = {line.get_xydata().tobytes() for line in plain_axes.lines}
+    borders = [line.get_xydata() for line in axes.lines]
+    borders = [border - CENTRE[:2] for border in borders if border.tobytes() not in known]
+    assert len(borders) == 2
+    heading = np.radians(CENTRE[2])
+    ahead = np.array([np.sin(heading), -np.cos(heading)])
+    for border, band_range in zip(borders, banded.bands, strict=True):
+        pinhole = projection == "pinhole"
+        reached = border @ ahead if pinhole else np.linalg.norm(border, axis=1)
+        assert np.allclose(reached, band_range, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(4, 8, 8), (4, 3, 8, 8), (3, 2, 8, 8), (4, 2, 8, 7)])
+def test_masks_that_do_not_fit_the_bands_are_refused(shape):
+    banded = Frustum(360.0, 4, bands=(0.1,))
+    with pytest.raises(SpecError, match=r"\[N, B, L, L\] with the frustum's N = 4 .* B = 2 bands"):
+        draw_pose(np.zeros(shape), CENTRE, banded)
+
+
+def test_banded_banks_and_poses_are_drawn_by_the_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner().invoke
+    bank = ["build", "--grid", "2x2x2", "--slices", "4", "--cells", "8", "--bands", "0.1,0.3"]
+    assert run(main, [*bank, "--cache", "banks"]).exit_code == 0
+    for options in (
+        ["--cache", "banks", "--out", "bank.png"],
+        ["--at", "0.5,0.5,10", "--bands", "0.1,0.3", "--out", "at.svg"],
+        ["--at", "0.5,0.5,10", "--bands", "0.1,0.3", "--slices", "4", "--cells", "8"],
+    ):
+        done = run(main, ["visualize", *options])
+        assert done.exit_code == 0, done.output
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
+        "bank.png",
+        "at.svg",
+        "at_0.5-0.5-10_hfov360_equirectangular_n4_bands0.1-0.3_l8.png",
+    }

@@ -42,10 +42,20 @@ _BAR_GAP, _BAR_WIDTH = 0.2, 0.13
 
 
 def slice_colours(slices: int) -> Array:
-    """Colours of slices 0..N-1, float64 [N, 3] of red, green, blue in [0, 1].
+    """Colours of slices 0..N-1, of which neighbours differ.
 
     Hues run once around a wheel, since slices run around the camera; where there are many, every
-    other one is lighter, so that neighbours differ.
+    other one is lighter.
+
+    Parameters
+    ----------
+    slices : int
+        N, at least 1.
+
+    Returns
+    -------
+    float64 [N, 3]
+        Red, green, blue in [0, 1].
     """
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -107,7 +117,8 @@ def draw_pose(
     Parameters
     ----------
     masks : array [N, L, L]
-        The pose's slice masks, from a bank or from `slicemask.slice_masks`.
+        The pose's slice masks, from a bank or from `slicemask.slice_masks`; [N, B, L, L] where the
+        frustum has bands, which are drawn as whole slices with the bands' edges on them.
     pose : array [3]
         u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
     frustum : Frustum
@@ -126,7 +137,9 @@ def draw_pose(
     Raises
     ------
     SpecError
-        If the masks are not [N, L, L] with the frustum's N, or the tile is no square picture.
+        If the masks' shape does not fit the frustum.
+    ImageError
+        If the tile is unreadable or not square.
     PoseError
         If the pose lies outside the tile or is not finite.
     """
@@ -152,7 +165,8 @@ def draw_pose(
     def write(left: float, bottom: float, text: str, **style: Any) -> None:
         figure.text(left / width, bottom / height, text, parse_math=False, **style)
 
-    draw_slices(add_axes(_LEFT, _BOTTOM, whole, whole), masks, (u, v, heading_deg), frustum, aerial)
+    pose_axes = add_axes(_LEFT, _BOTTOM, whole, whole)
+    _draw_on_tile(pose_axes, masks, np.array([u, v, heading_deg]), frustum, aerial)
 
     start, foot = _LEFT + whole + _BETWEEN, _BOTTOM + tile * MARGIN
     image = None
@@ -197,14 +211,42 @@ def draw_slices(
     frustum: Frustum,
     aerial: Aerial | None = None,
 ) -> None:
-    """Draw the slices of a pose on axes: the left part of `draw_pose`, with the same parameters.
+    """Draw the slices of a pose on axes of one's own.
 
     Each cell shows the slices' colours, weighted by their fractions, as opaque as the fractions'
     sum. The rays are the exact edges of the slices, from the camera to the tile's border. Slices
     are numbered around the border, larger ones first where there is no room for all.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        What to draw on. Their limits and labels are set.
+    masks : array [N, L, L]
+        The pose's slice masks, from a bank or from `slicemask.slice_masks`; [N, B, L, L] where the
+        frustum has bands, which are drawn as whole slices with the bands' edges on them.
+    pose : array [3]
+        u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
+    frustum : Frustum
+        Field of view and its N slices.
+    aerial : array [S, S, 3] or picture, optional
+        The aerial tile, north up. Without it, the cells are drawn on a plain ground.
+
+    Raises
+    ------
+    SpecError
+        If the masks' shape does not fit the frustum.
+    ImageError
+        If the tile is unreadable or not square.
+    PoseError
+        If the pose lies outside the tile or is not finite.
     """
-    masks = _check_masks(masks, frustum)
-    camera = check_pose(pose)
+    _draw_on_tile(axes, _check_masks(masks, frustum), check_pose(pose), frustum, aerial)
+
+
+def _draw_on_tile(
+    axes: "Axes", masks: Array, camera: Array, frustum: Frustum, aerial: Aerial | None
+) -> None:
+    """Draw checked masks of whole slices, float64 [N, L, L]; see `draw_slices`."""
     cells = masks.shape[-1]
     colours = slice_colours(frustum.slices)
     axes.set(xlim=(-MARGIN, 1.0 + MARGIN), ylim=(1.0 + MARGIN, -MARGIN), aspect="equal")
@@ -226,24 +268,47 @@ def draw_slices(
     axes.plot((0, 1, 1, 0, 0), (0, 0, 1, 1, 0), color=FRAME, linewidth=0.8, zorder=3)
 
     _draw_edges(axes, camera, frustum)
+    _draw_bands(axes, camera, frustum)
     _draw_numbers(axes, masks, camera, frustum, colours)
     _draw_camera(axes, camera)
 
 
 def check_pose(pose: Pose) -> Array:
-    """One pose, checked by `check_poses`: float64 [3]."""
+    """Check one pose.
+
+    Parameters
+    ----------
+    pose : array [3]
+        u, v in [0, 1] of the aerial frame and heading_deg, any finite angle.
+
+    Returns
+    -------
+    float64 [3]
+        With the heading in [0, 360).
+
+    Raises
+    ------
+    PoseError
+        If it lies outside the tile, is not finite or is no pose.
+    """
     poses: Any = [pose]
     return np.asarray(check_poses(poses)[0])
 
 
 def _check_masks(masks: ArrayLike, frustum: Frustum) -> Array:
+    """The masks of whole slices, float64 [N, L, L]: bands of a slice sum to it."""
     array = np.asarray(masks, dtype=np.float64)
-    if array.ndim != 3 or array.shape[1] != array.shape[2] or len(array) != frustum.slices:
+    counts: tuple[int, ...] = (frustum.slices,)
+    form, what = "[N, L, L]", f"N = {frustum.slices} slices"
+    if frustum.bands:
+        counts = (frustum.slices, frustum.band_count)
+        form, what = "[N, B, L, L]", f"{what} and B = {frustum.band_count} bands"
+    ends = array.shape[-2:]
+    if array.ndim != len(counts) + 2 or array.shape[:-2] != counts or ends[0] != ends[1]:
         raise SpecError(
-            f"masks have shape {list(array.shape)}; they must be [N, L, L] with the frustum's "
-            f"N = {frustum.slices} slices"
+            f"masks have shape {list(array.shape)}; they must be {form} with the frustum's {what}"
         )
-    return array
+    return array.sum(axis=1) if frustum.bands else array
 
 
 def _square_picture(aerial: Aerial) -> Image.Image:
@@ -306,6 +371,23 @@ def _draw_edges(axes: "Axes", pose: Array, frustum: Frustum) -> None:
             zorder=4,
             clip_on=False,
         )
+
+
+def _draw_bands(axes: "Axes", pose: Array, frustum: Frustum) -> None:
+    """Where one band of range ends and the next begins: circles, or lines across the heading."""
+    from matplotlib.patches import Rectangle
+
+    edges_deg = frustum.edges_deg(pose[2])
+    azimuths_deg = np.linspace(edges_deg[0], edges_deg[-1], 361)
+    ahead = np.stack(direction(azimuths_deg, np), axis=-1)
+    # A pinhole camera's bands are bands of depth along its axis.
+    depth = np.cos(np.radians(azimuths_deg - pose[2])) if frustum.projection == "pinhole" else 1.0
+    for band_range in frustum.bands:
+        border = pose[:2] + ahead * (band_range / np.broadcast_to(depth, len(ahead)))[:, None]
+        (line,) = axes.plot(
+            border[:, 0], border[:, 1], color=INK, linewidth=0.8, linestyle=(0, (4, 2)), zorder=4
+        )
+        line.set_clip_path(Rectangle((0.0, 0.0), 1.0, 1.0, transform=axes.transData))
 
 
 def _draw_numbers(
@@ -424,7 +506,8 @@ def _subtitle(u: float, v: float, heading_deg: float, frustum: Frustum, cells: i
         [
             f"camera at u = {u:.4g}, v = {v:.4g}, heading {heading_deg:.5g}°",
             f"HFoV {frustum.hfov_deg:.5g}°, {frustum.projection}",
-            f"N = {frustum.slices} {'slice' if frustum.slices == 1 else 'slices'}",
+            f"N = {frustum.slices} {'slice' if frustum.slices == 1 else 'slices'}"
+            + (f" of B = {frustum.band_count} bands" if frustum.bands else ""),
             f"{cells} x {cells} cells",
         ]
     )

@@ -25,6 +25,11 @@ def image_elevations(projection: Projection, hfov_deg: float, aspect: float) -> 
     aspect : float
         Width over height.
 
+    Returns
+    -------
+    (lowest, highest)
+        Degrees.
+
     Examples
     --------
     >>> image_elevations("equirectangular", 360.0, 2.0)

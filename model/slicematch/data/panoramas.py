@@ -9,7 +9,14 @@ import numpy as np
 from PIL import Image
 
 from slicemask.errors import ImageError
-from slicemask.images import ASPECT_TOLERANCE, Picture, check_aspect, name_of, read_image
+from slicemask.images import (
+    ASPECT_TOLERANCE,
+    MAX_PIXELS,
+    Picture,
+    check_aspect,
+    name_of,
+    read_image,
+)
 
 # Above it, the rows of a panorama are no longer rows of equal elevation.
 MAX_TILT_DEG = 2.0
@@ -160,6 +167,12 @@ def _whole_sphere(image: Image.Image, data: dict[str, str], name: str) -> Image.
         raise ImageError(
             f"{name}: {image.width}x{image.height} pixels do not fit its GPano data ({numbers}); "
             "mend or remove the data"
+        )
+    if full_height * scale * full_width * scale > MAX_PIXELS:
+        raise ImageError(
+            f"{name}: its GPano data say that it is a part of a sphere of {full_width * scale:.0f}x"
+            f"{full_height * scale:.0f} pixels, more than the {MAX_PIXELS:,} allowed; make the "
+            "image smaller, or mend the data"
         )
     sphere = np.zeros((round(full_height * scale), round(full_width * scale), 3), np.uint8)
     pixels = np.asarray(image)

@@ -139,7 +139,13 @@ class DataConfig:
 
     @classmethod
     def own_settings(cls) -> list[str]:
-        """The names of the settings that this data set has and others need not have."""
+        """The names of the settings that this data set has and others need not have.
+
+        Returns
+        -------
+        list of str
+            In the order of their definition.
+        """
         shared = {field.name for field in fields(DataConfig)}
         return [field.name for field in fields(cls) if field.name not in shared]
 
@@ -155,11 +161,27 @@ class DataConfig:
         return self.prior_centre_deg, float(half_width)
 
     def default_extent(self) -> tuple[float, float, float, float]:
-        """The part of the tile where cameras may stand: u0, v0, u1, v1."""
+        """The part of the tile where cameras may stand.
+
+        Returns
+        -------
+        (u0, v0, u1, v1)
+            In the aerial frame; the whole tile unless a data set knows better.
+        """
         return 0.0, 0.0, 1.0, 1.0
 
     def open(self, part: Part) -> "Source":
         """Open the samples of a part.
+
+        Parameters
+        ----------
+        part : {"train", "validation", "test"}
+            Training and validation share the training file (`validation_fraction`).
+
+        Returns
+        -------
+        Source
+            Its samples; no image is read yet.
 
         Raises
         ------
@@ -169,9 +191,21 @@ class DataConfig:
         raise NotImplementedError
 
     def choose(self, part: Part, count: int) -> NDArray[np.intp]:
-        """Which of a file's `count` samples a part takes: sorted indices.
+        """Which samples of a file a part takes.
 
         Training and validation share the training file; the test part takes all of its own.
+
+        Parameters
+        ----------
+        part : {"train", "validation", "test"}
+            The part.
+        count : int
+            Samples of the file.
+
+        Returns
+        -------
+        int [n]
+            Sorted indices below `count`, the same ones for the same `seed`.
         """
         if part == "test":
             return np.arange(count)
@@ -213,11 +247,36 @@ class Source(ABC):
 
     @abstractmethod
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
-        """The true pose of a sample: float64 [3], u, v, heading_deg in the aerial frame."""
+        """The true pose of a sample.
+
+        Parameters
+        ----------
+        index : int
+            The sample's place in the list.
+        random : numpy.random.Generator
+            What is drawn is drawn from it.
+
+        Returns
+        -------
+        float64 [3]
+            u, v, heading_deg in the aerial frame.
+        """
 
     @abstractmethod
     def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
-        """The ground and the aerial image of a sample, RGB, of the sizes in the settings.
+        """The images of a sample.
+
+        Parameters
+        ----------
+        index : int
+            The sample's place in the list.
+        random : numpy.random.Generator
+            What is drawn is drawn from it, as for `pose`.
+
+        Returns
+        -------
+        ground, aerial : PIL.Image.Image
+            RGB, of the sizes in the settings.
 
         Raises
         ------

@@ -247,9 +247,12 @@ def _label_file(config: VigorConfig, part: Part, city: str) -> Path:
     corrected = folder / f"{name}__corrected.txt"
     if config.labels == "corrected":
         return corrected
-    original = folder / f"{name}.txt"
-    # A folder that was named may hold either; the suffix is what tells the two apart.
-    return corrected if config.labels != "original" and corrected.is_file() else original
+    if config.labels == "original":
+        return folder / f"{name}.txt"
+    # A folder that was named holds corrected labels if any file in it says so: the corrected and
+    # the original ones of different cities must not be mixed unnoticed.
+    any_corrected = any(_label_folder(config).glob("*/*__corrected.txt"))
+    return corrected if any_corrected else folder / f"{name}.txt"
 
 
 def _label_folder(config: VigorConfig) -> Path:

@@ -203,3 +203,15 @@ def test_parts_as_cameras_write_them(name, size, row, column):
     found = np.asarray(sphere)
     assert np.array_equal(found[row : row + height, column : column + width], pixels)
     assert found.astype(int).sum() == pixels.astype(int).sum()
+
+
+def test_a_small_part_of_a_huge_sphere_is_refused():
+    """Pasted, it would fill the memory."""
+    fields = {
+        "FullPanoWidthPixels": 2_000_000,
+        "FullPanoHeightPixels": 1_000_000,
+        "CroppedAreaImageWidthPixels": 40,
+        "CroppedAreaImageHeightPixels": 20,
+    }
+    with pytest.raises(ImageError, match="a sphere of 2000000x1000000 pixels, more than the 80,"):
+        read_panorama(tagged(part(), fields))

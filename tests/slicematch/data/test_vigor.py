@@ -532,3 +532,18 @@ def test_the_oracle_error_of_grids_on_real_labels(real_chicago, grid, mean, medi
     # Headings k * 360/64: at most 2.8125 degrees off, half that in the mean.
     assert oracle.heading_deg.max() <= 2.8125
     assert summary["heading_mean_deg"] == pytest.approx(1.406, abs=0.03)
+
+
+def test_corrected_and_original_labels_of_a_folder_are_not_mixed(make_vigor_tree, tmp_path):
+    """A folder whose corrected labels lack a city is not filled up with original ones."""
+    cities = ("Chicago", "Seattle")
+    make_vigor_tree(tmp_path, pairs=2, cities=cities)
+    mine = tmp_path / "mine"
+    (tmp_path / "splits").rename(mine)
+    corrected = label_file(tmp_path, "same_area_balanced_train")
+    corrected.rename(mine / "Chicago" / corrected.name)
+    assert open_vigor(tmp_path, labels="mine", cities=("Chicago",)).names
+    with pytest.raises(
+        DatasetError, match=r"mine/Seattle/same_area_balanced_train__corrected\.txt"
+    ):
+        open_vigor(tmp_path, labels="mine", cities=cities)
