@@ -110,7 +110,7 @@ def crop_elevations(
     check_elevations(elevations, projection, hfov_deg, width / height, tolerance=ASPECT_TOLERANCE)
     shown = image_elevations(projection, hfov_deg, width / height)
     scale = [
-        _height_of(angle, projection) / _height_of(shown[1], projection) for angle in (low, high)
+        _height_of(angle, projection) / _height_of(shown[1], projection) for angle in elevations
     ]
     bottom, top = (max(0.0, min(1.0, 0.5 - 0.5 * part)) * height for part in scale)
     size = width, max(1, round(bottom - top))
