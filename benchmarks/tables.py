@@ -9,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 
+from benchmarks.bands import bands
 from benchmarks.figure import Figure
 from benchmarks.gpu import gpu
 from benchmarks.peers import exactextract_masks, plain_loop_seconds, random_slices
@@ -197,6 +198,7 @@ TABLES: dict[str, Callable[[], list[Figure]]] = {
     "engine": engine,
     "million": million,
     "growth": growth,
+    "bands": bands,
     "scoring": scoring,
     "gpu": gpu,
 }

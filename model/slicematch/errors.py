@@ -4,11 +4,11 @@ from slicemask.errors import SlicemaskError
 
 
 class ConfigError(SlicemaskError, ValueError):
-    """A setting of training, evaluation or prediction that cannot be."""
+    """An invalid setting of training, evaluation or prediction."""
 
 
 class WeightsError(SlicemaskError, OSError):
-    """Encoder weights that cannot be had or do not fit the encoder."""
+    """Encoder weights that are not available or do not fit the encoder."""
 
 
 class RunError(SlicemaskError, OSError):

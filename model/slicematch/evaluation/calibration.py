@@ -65,7 +65,7 @@ def fit_temperature(scores: NDArray[np.float32], truths: NDArray[np.int64]) -> t
     if not (scores.max() < np.inf and scores[np.arange(len(truths)), truths].min() > -np.inf):
         raise ConfigError(
             "no temperature can be fitted: some scores are not finite numbers, as those of a run "
-            "that has diverged; train anew with a lower learning rate"
+            "that has diverged; train again with a lower learning rate"
         )
     found = minimize_scalar(
         lambda log_temperature: mean_nll(scores, truths, math.exp(log_temperature)),
