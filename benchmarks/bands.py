@@ -41,7 +41,8 @@ def bands() -> list[Figure]:
             ))  # fmt: skip
         sizes = [banks["shapely", banded].stat().st_size / 1e6 for banded in (False, True)]
         figures.append(Figure(
-            "its bank on disk", f"{sizes[1]:.2f} MB, {sizes[1] / sizes[0]:.2f} times {sizes[0]:.2f}",
+            "its bank on disk",
+            f"{sizes[1]:.2f} MB, {sizes[1] / sizes[0]:.2f} times {sizes[0]:.2f} MB",
             "2 times", sizes[1] <= 2 * sizes[0],
         ))  # fmt: skip
         figures += _masks()

@@ -38,7 +38,7 @@ class BadSampleLog:
     limit : int
         How many different samples may be unreadable; more mean that the data set is broken.
     keep : bool
-        Go on with the list that is in the file, as a resumed run does, rather than begin it anew.
+        Go on with the list that is in the file, as a resumed run does, rather than begin it again.
         A last line that a kill left half-written is removed.
     """
 
@@ -118,11 +118,11 @@ class PoseDataset(Dataset[Sample | None]):
 
     What is random is drawn from (seed, epoch, sample name) alone: the same in any order, worker
     process or selection of samples, and after a resume; samples of the same name draw differently.
-    Training draws anew in every epoch; call `set_epoch` before an epoch's iterator is made.
+    Training draws again in every epoch; call `set_epoch` before an epoch's iterator is made.
     Validation and test draw once and for all.
 
     With `DataConfig.augment`, a training sample is shown under one of the tile's eight symmetries
-    (quarter turns and mirrorings), drawn anew in every epoch: the tile is turned and mirrored, the
+    (quarter turns and mirrorings), drawn again in every epoch: the tile is turned and mirrored, the
     pose with it, and the ground image mirrored where the tile is. Only symmetries are drawn that
     map the extent and the priors on place and heading onto themselves, so that a true pose stays
     among the candidates. Its colours change as `recolour` says.

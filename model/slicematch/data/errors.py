@@ -6,7 +6,7 @@ from slicemask.errors import SlicemaskError
 class DataError(SlicemaskError):
     """Base of the loaders' errors; its text stays one sentence across processes.
 
-    A torch loader raises a worker's error anew in the main process, with the worker's whole
+    A torch loader raises a worker's error again in the main process, with the worker's whole
     traceback for a text. Its last line, ``module.Class: sentence``, is what there is to read.
     """
 

@@ -274,7 +274,7 @@ def read_heading(path: str | Path) -> float:
         If the oxts file is missing or its first line has no finite field 5.
     """
     try:
-        _, line = read_lines(Path(path), "the oxts file", "fetch it anew")[0]
+        _, line = read_lines(Path(path), "the oxts file", "fetch it again")[0]
     except DatasetError as error:  # it is one sample that lacks it
         raise SampleError(str(error)) from error
     fields = line.split()
@@ -283,7 +283,7 @@ def read_heading(path: str | Path) -> float:
         found = repr(fields[5]) if len(fields) > 5 else f"missing: there are {len(fields)} fields"
         raise SampleError(
             f"{path}: field 5 (from 0), the heading in radians, is {found}; expected a number: "
-            "fetch the file anew"
+            "fetch the file again"
         )
     return heading
 
@@ -314,7 +314,7 @@ def read_hfov_deg(path: str | Path) -> float:
     DatasetError
         If there is no such number or the result is no field of view.
     """
-    lines = read_lines(Path(path), "the calibration file", "fetch it anew")
+    lines = read_lines(Path(path), "the calibration file", "fetch it again")
     parts = (line.partition(":") for _, line in lines)
     rows = {key.strip(): rest.split() for key, _, rest in parts}
 

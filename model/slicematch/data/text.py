@@ -44,7 +44,7 @@ def read_lines(path: Path, what: str, hint: str) -> list[tuple[int, str]]:
         (number, line) for number, line in enumerate(text.split("\n"), start=1) if line.strip()
     ]
     if not lines:
-        raise DatasetError(f"{path}: {what} is empty; fetch it anew")
+        raise DatasetError(f"{path}: {what} is empty; fetch it again")
     return lines
 
 

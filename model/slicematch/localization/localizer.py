@@ -343,7 +343,7 @@ class Localizer:
     ) -> Candidates:
         """The candidates that agree with the priors given, or else with the run's own.
 
-        Those of the last few priors are kept: laying out their masks anew for each image would
+        Those of the last few priors are kept: laying out their masks again for each image would
         take a fifth as long as scoring them (measured on a CPU, 3,000 to 4,000 poses).
         """
         key = self._priors(heading_prior, place_prior)

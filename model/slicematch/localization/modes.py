@@ -107,7 +107,7 @@ def find_modes(
     if not np.isfinite(best):
         raise RunError(
             f"the best score is {best}; it must be finite, but the model's weights or features are "
-            "not: take another checkpoint, train anew with a smaller learning rate, or, where the "
+            "not: take another checkpoint, train again with a smaller learning rate, or, where the "
             "precision is 16-mixed, choose bf16-mixed"
         )
     highest = maximum_filter(scores, size=3, mode=("constant", "constant", "wrap"), cval=-np.inf)

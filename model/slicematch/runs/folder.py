@@ -167,7 +167,7 @@ class RunFolder:
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(
                 f"{self.calibration_file}: holds no temperature greater than 0 with its grid and "
-                f"checkpoint ({error!r}); remove it, or write it anew with `slicemask calibrate`"
+                f"checkpoint ({error!r}); remove it, or write it again with `slicemask calibrate`"
             ) from error
         return FittedTemperature(temperature, grid, checkpoint)
 
@@ -312,5 +312,5 @@ def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> N
     if not all(bool(value.isfinite().all()) for value in weights.values()):
         raise RunError(
             f"{path}: holds weights that are not finite numbers, so the run has diverged; train "
-            "anew with a lower learning rate"
+            "again with a lower learning rate"
         )

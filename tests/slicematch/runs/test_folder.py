@@ -603,7 +603,7 @@ def test_a_spoilt_calibration_is_written_anew(config, tmp_path, cache, content):
     file = run / "calibration.json"
     whole = file.read_text()
     file.write_text(content)
-    with pytest.raises(RunError, match="write it anew with `slicemask calibrate`"):
+    with pytest.raises(RunError, match="write it again with `slicemask calibrate`"):
         Localizer.load(run, cache=cache)
     calibrate(run, cache=cache)
     assert file.read_text() == whole
