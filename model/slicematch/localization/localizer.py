@@ -42,6 +42,8 @@ HeadingPrior = tuple[float, float]
 PlacePrior = tuple[float, float, float]
 # Sets of candidates that are kept, each with its plan of pooling, for priors that come again.
 _PRIORS_KEPT = 8
+# How far the compass of a phone or a camera may be off.
+COMPASS_DEG = 30.0
 
 
 class Localizer:
@@ -218,7 +220,8 @@ class Localizer:
             The tile.
         heading_prior : (centre, half_width), optional
             Only headings within half_width degrees of the centre. By default the prior that the
-            run was trained with, if any; (0, 180) allows every heading.
+            run was trained with, if any, or else 30 degrees around the heading that a panorama's
+            own data give (GPano's PoseHeadingDegrees); (0, 180) allows every heading.
         place_prior : (u, v, radius), optional
             Only places within the radius of (u, v), in the aerial frame. By default the run's.
         refine : {"none", "mean", "fine", "continuous"}, optional
@@ -248,8 +251,18 @@ class Localizer:
         if metres_per_pixel is not None and metres_per_pixel != tile.metres_per_pixel:
             trained_window(tile.pixels, metres_per_pixel, self.tile_side_m, crop=False)
             tile = replace(tile, metres_per_pixel=metres_per_pixel)
+        image, facing_deg = self._read_ground(ground)
+        if facing_deg is not None and heading_prior is None and self.config.heading_prior() is None:
+            heading_prior = facing_deg, COMPASS_DEG
+            log.warning(
+                "%s: only headings within %g degrees of the %g that its own data give are searched"
+                "; a heading prior of 0,180 allows all",
+                name_of(ground),
+                COMPASS_DEG,
+                facing_deg,
+            )
         with torch.no_grad():
-            descriptors = self.model.encode_ground(self._ground(ground))
+            descriptors = self.model.encode_ground(self._as_input(image))
         (estimate,) = self.estimate(
             descriptors,
             tile.features,
@@ -371,15 +384,20 @@ class Localizer:
         ImageError
             If it cannot be read or has the wrong proportions.
         """
+        return self._read_ground(ground)[0]
+
+    def _read_ground(self, ground: Picture) -> tuple[Image.Image, float | None]:
+        """A ground image, and the heading that a panorama's own data give it, if they do."""
         if self.frustum.projection == "equirectangular":
-            return read_panorama(ground).image
+            return read_panorama(ground)
         image = read_image(ground)
         if self.config.ground_aspect is not None:
             check_aspect(image, name_of(ground), self.config.ground_aspect, "a ground image")
-        return image
+        return image, None
 
-    def _ground(self, ground: Picture) -> torch.Tensor:
-        image, size = self.read_ground(ground), cast(tuple[int, int], self.config.ground_size)
+    def _as_input(self, image: Image.Image) -> torch.Tensor:
+        """What the ground encoder takes of a ground image, [1, 3, height, width]."""
+        size = cast(tuple[int, int], self.config.ground_size)
         image = crop_elevations(
             image, self.config.elevations, self.frustum.projection, self.frustum.hfov_deg
         )

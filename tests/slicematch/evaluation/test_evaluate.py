@@ -366,3 +366,23 @@ def test_the_best_picture_is_best_in_place_and_heading(run, cache, tmp_path, mon
     order = np.argsort(together)
     for title, n in zip(titles, (order[0], order[2], order[-1]), strict=True):
         assert f"sample {n}, {found.names[n]}" in title
+
+
+@pytest.mark.parametrize(
+    ("side_m", "said"),
+    [(71.0, ""), (60.0, "than those that the run was trained with"), (30.0, None)],
+)
+def test_tiles_of_another_size_than_in_training(run, cache, tmp_path, caplog, side_m, said):
+    """Tiles of Chicago are 71.2 m a side: as in training, a fifth larger, more than twice."""
+    other = shutil.copytree(run, tmp_path / "run")
+    config = TrainConfig.load(other / "config.yaml")
+    assert config.tile_side_m == pytest.approx(71.2, abs=0.1)
+    replace(config, tile_side_m=side_m).save(other / "config.yaml")
+    out = tmp_path / "out"
+    if said is None:
+        with pytest.raises(ConfigError, match=r"71\.\d+ m wide .* trained with tiles of 30 m"):
+            evaluate(other, cache=cache, device="cpu", out=out)
+        assert not out.exists()
+        return
+    evaluate(other, cache=cache, device="cpu", out=out)
+    assert (said in caplog.text) if said else "trained" not in caplog.text

@@ -347,3 +347,27 @@ def test_priors_that_are_almost_surely_slips(
     caplog.clear()
     localizer.localize(*images, (90, 180), (0.5, 0.5, 1.0))
     assert not caplog.records
+
+
+XMP = (
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+    b'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+    b'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:PoseHeadingDegrees="90"/>'
+    b"</rdf:RDF></x:xmpmeta>"
+)
+
+
+def test_the_heading_that_a_panorama_says_is_its_prior(localizer, images, caplog):
+    panorama = Image.open(images[0])
+    panorama.load()
+    panorama.info["xmp"] = XMP
+    found = localizer.localize(panorama, images[1], refine="none")
+    assert np.isfinite(found.scores).any(axis=(0, 1)).tolist() == [
+        abs(heading - 90) <= 30 for heading in localizer.grid.headings_deg
+    ]
+    assert "only headings within 30 degrees of the 90 that its own data give" in caplog.text
+    # What the caller says goes before it, and an image without such data has none.
+    every = localizer.localize(panorama, images[1], (0.0, 180.0), refine="none")
+    assert np.array_equal(every.scores, localizer.localize(*images, refine="none").scores)
+    other = localizer.localize(panorama, images[1], (200.0, 30.0), refine="none")
+    assert abs(other.pose[2] - 200) <= 30
