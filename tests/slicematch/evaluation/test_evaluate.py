@@ -370,7 +370,7 @@ def test_the_best_picture_is_best_in_place_and_heading(run, cache, tmp_path, mon
 
 @pytest.mark.parametrize(
     ("side_m", "said"),
-    [(71.0, ""), (60.0, "than those that the run was trained with"), (30.0, None)],
+    [(71.0, ""), (60.0, "was trained with tiles of 60 m"), (30.0, None)],
 )
 def test_tiles_of_another_size_than_in_training(run, cache, tmp_path, caplog, side_m, said):
     """Tiles of Chicago are 71.2 m a side: as in training, a fifth larger, more than twice."""
