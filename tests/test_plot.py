@@ -399,7 +399,7 @@ def test_matplotlib_is_loaded_on_use_only():
 
 
 @pytest.mark.parametrize("projection", ["equirectangular", "pinhole"])
-def test_bands_are_drawn_as_whole_slices_with_their_edges(projection):
+def test_bands_are_drawn_in_shades_with_their_edges(projection):
     from matplotlib.figure import Figure
 
     banded = Frustum(80.0, 4, projection, (0.125, 0.25))
@@ -407,8 +407,16 @@ def test_bands_are_drawn_as_whole_slices_with_their_edges(projection):
     axes, plain_axes = Figure().add_subplot(), Figure().add_subplot()
     draw_slices(axes, slice_masks([CENTRE], banded, 8)[0], CENTRE, banded)
     draw_slices(plain_axes, slice_masks([CENTRE], plain, 8)[0], CENTRE, plain)
-    cells = [shown.images[-1].get_array() for shown in (axes, plain_axes)]
-    assert np.allclose(*cells, rtol=0, atol=1e-6)
+    cells, plain_cells = (shown.images[-1].get_array() for shown in (axes, plain_axes))
+    assert np.allclose(cells[..., 3], plain_cells[..., 3], rtol=0, atol=1e-6)
+    # The colours of a cell are weighted by its fractions, with each band lighter than the last.
+    masks = slice_masks([CENTRE], banded, 8)[0]
+    colours = slice_colours(4)[:, None]
+    shades = colours + np.array([[0.0], [0.3], [0.6]]) * (1.0 - colours)
+    sums = np.einsum("nbij,nbc->ijc", masks, shades)
+    seen = masks.sum(axis=(0, 1)) > 0
+    expected = sums[seen] / masks.sum(axis=(0, 1))[seen][:, None]
+    assert np.allclose(cells[seen][:, :3], expected, rtol=0, atol=1e-6)
 
     known = {line.get_xydata().tobytes() for line in plain_axes.lines}
     borders = [line.get_xydata() for line in axes.lines]
@@ -420,6 +428,20 @@ def test_bands_are_drawn_as_whole_slices_with_their_edges(projection):
         pinhole = projection == "pinhole"
         reached = border @ ahead if pinhole else np.linalg.norm(border, axis=1)
         assert np.allclose(reached, band_range, rtol=0, atol=1e-12)
+
+
+def test_the_masks_of_bands_are_a_sheet_of_slices_and_bands():
+    banded = Frustum(360.0, 4, bands=(0.1, 0.3))
+    masks = slice_masks([CENTRE], banded, 8)[0]
+    figure = draw_pose(masks, CENTRE, banded)
+    shown = [
+        axes for axes in figure.axes[1:] if axes.images and axes.images[0].get_array().ndim == 2
+    ]
+    sheet = [axes.images[0].get_array() for axes in shown]
+    assert np.array_equal(np.array(sheet), masks.reshape(12, 8, 8))
+    corners = [axes.get_position().bounds[:2] for axes in shown]
+    assert len({round(left, 6) for left, _ in corners}) == 3
+    assert len({round(bottom, 6) for _, bottom in corners}) == 4
 
 
 @pytest.mark.parametrize("shape", [(4, 8, 8), (4, 3, 8, 8), (3, 2, 8, 8), (4, 2, 8, 7)])

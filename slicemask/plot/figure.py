@@ -39,6 +39,8 @@ _MOST_PIXELS = 2048  # of an aerial tile along a side; no picture shows more
 _LEFT, _BETWEEN, _RIGHT, _TOP, _BOTTOM = 0.8, 0.6, 0.85, 1.02, 0.72
 _SMALLEST_TILE, _LARGEST_TILE, _PITCH = 4.4, 9.6, 0.8
 _BAR_GAP, _BAR_WIDTH = 0.2, 0.13
+# How far the farthest band is lighter than the nearest, towards white.
+_LIGHTEST = 0.6
 
 
 def slice_colours(slices: int) -> Array:
@@ -68,6 +70,26 @@ def slice_colours(slices: int) -> Array:
     if slices % 2 == 1:  # slice 0 is a neighbour of the last one
         lighter[-1] = 0.18
     return np.asarray(colours + lighter[:, None] * (1.0 - colours))
+
+
+def band_colours(colours: Array, bands: int) -> Array:
+    """Shades of slices' colours for their bands: the nearest full, farther ones lighter.
+
+    Parameters
+    ----------
+    colours : float64 [N, 3]
+        Of the slices.
+    bands : int
+        B, at least 1.
+
+    Returns
+    -------
+    float64 [N, B, 3]
+        Red, green, blue in [0, 1].
+    """
+    lighter = _LIGHTEST * np.arange(bands) / max(bands - 1, 1)
+    shades = colours[:, None] + lighter[:, None] * (1.0 - colours[:, None])
+    return np.asarray(shades)
 
 
 def edge_ends(pose: Pose, azimuth_deg: ArrayLike) -> Array:
@@ -114,11 +136,13 @@ def draw_pose(
 ) -> "Figure":
     """Draw the slices of a pose on the tile, and beside it the mask of each.
 
+    With bands, the masks are a sheet of N rows and B columns, the nearest band first.
+
     Parameters
     ----------
     masks : array [N, L, L]
         The pose's slice masks, from a bank or from `slicemask.slice_masks`; [N, B, L, L] where the
-        frustum has bands, which are drawn as whole slices with the bands' edges on them.
+        frustum has bands, which are drawn in shades of their slice's colour.
     pose : array [3]
         u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
     frustum : Frustum
@@ -150,6 +174,8 @@ def draw_pose(
     cells = masks.shape[-1]
     rows = math.ceil(math.sqrt(frustum.slices))
     columns = math.ceil(frustum.slices / rows)
+    if frustum.bands:
+        rows, columns = frustum.slices, frustum.band_count
     tile = min(max(_SMALLEST_TILE, rows * _PITCH), _LARGEST_TILE)
     gap = min(0.19, 0.25 * tile / rows)  # above each mask, for its number
     side = (tile + gap) / rows - gap
@@ -170,15 +196,18 @@ def draw_pose(
 
     start, foot = _LEFT + whole + _BETWEEN, _BOTTOM + tile * MARGIN
     image = None
-    for n, colour in enumerate(slice_colours(frustum.slices)):
-        row, column = divmod(n, columns)
+    shades = band_colours(slice_colours(frustum.slices), frustum.band_count)
+    for number, (n, b) in enumerate(np.ndindex(shades.shape[:2])):
+        colour = shades[n, b]
+        row, column = divmod(number, columns)
         axes = add_axes(
             start + column * (side + gap * 0.7),
             foot + tile + gap - (row + 1) * (side + gap),
             side,
             side,
         )
-        image = _draw_mask(axes, masks[n], colour, str(n) if gap > 0.12 else "")
+        label = str(n) if gap > 0.12 and b == 0 else ""
+        image = _draw_mask(axes, masks[n, b], colour, label)
         axes.plot(u, v, "o", markersize=3.2, color=colour, markeredgecolor="white", mew=0.5)
     if image is not None:
         bar_axes = add_axes(start + block + _BAR_GAP, foot, _BAR_WIDTH, tile)
@@ -199,8 +228,10 @@ def draw_pose(
     caption = _BOTTOM + whole + 0.02
     ground = "aerial tile" if aerial is not None else "cells of the tile"
     write(_LEFT, caption, f"The slices on the {ground}", fontsize=9.5, color=MUTED)
-    masks_of = "each slice n" if frustum.slices > 1 else "the slice, n = 0"
-    write(start, caption, f"The mask of {masks_of}", fontsize=9.5, color=MUTED)
+    sheet = "The mask of each slice n" if frustum.slices > 1 else "The mask of the slice, n = 0"
+    if frustum.bands:
+        sheet = "Slices down, bands across"  # a sheet may be narrow
+    write(start, caption, sheet, fontsize=9.5, color=MUTED)
     return figure
 
 
@@ -223,7 +254,7 @@ def draw_slices(
         What to draw on. Their limits and labels are set.
     masks : array [N, L, L]
         The pose's slice masks, from a bank or from `slicemask.slice_masks`; [N, B, L, L] where the
-        frustum has bands, which are drawn as whole slices with the bands' edges on them.
+        frustum has bands, which are drawn in shades of their slice's colour.
     pose : array [3]
         u, v in [0, 1] of the aerial frame and heading_deg, clockwise from north.
     frustum : Frustum
@@ -246,9 +277,10 @@ def draw_slices(
 def _draw_on_tile(
     axes: "Axes", masks: Array, camera: Array, frustum: Frustum, aerial: Aerial | None
 ) -> None:
-    """Draw checked masks of whole slices, float64 [N, L, L]; see `draw_slices`."""
+    """Draw checked masks, float64 [N, B, L, L]; see `draw_slices`."""
     cells = masks.shape[-1]
     colours = slice_colours(frustum.slices)
+    shades = band_colours(colours, frustum.band_count)
     axes.set(xlim=(-MARGIN, 1.0 + MARGIN), ylim=(1.0 + MARGIN, -MARGIN), aspect="equal")
     _draw_frame(axes)
 
@@ -258,7 +290,8 @@ def _draw_on_tile(
     else:
         axes.imshow(_square_picture(aerial), extent=extent, zorder=0)
     opacity = 1.0 if aerial is None else _TILE_OPACITY
-    axes.imshow(_blend(masks, colours, opacity), extent=extent, zorder=1)
+    parts = masks.reshape(-1, cells, cells)
+    axes.imshow(_blend(parts, shades.reshape(-1, 3), opacity), extent=extent, zorder=1)
     if cells < _MOST_LINES:
         borders = np.arange(1, cells) / cells
         style: dict[str, Any] = {"colors": "white", "linewidth": 0.4, "zorder": 2}
@@ -269,7 +302,7 @@ def _draw_on_tile(
 
     _draw_edges(axes, camera, frustum)
     _draw_bands(axes, camera, frustum)
-    _draw_numbers(axes, masks, camera, frustum, colours)
+    _draw_numbers(axes, masks.sum(axis=1), camera, frustum, colours)
     _draw_camera(axes, camera)
 
 
@@ -296,7 +329,7 @@ def check_pose(pose: Pose) -> Array:
 
 
 def _check_masks(masks: ArrayLike, frustum: Frustum) -> Array:
-    """The masks of whole slices, float64 [N, L, L]: bands of a slice sum to it."""
+    """The masks as float64 [N, B, L, L]; B is 1 without bands."""
     array = np.asarray(masks, dtype=np.float64)
     counts: tuple[int, ...] = (frustum.slices,)
     form, what = "[N, L, L]", f"N = {frustum.slices} slices"
@@ -308,7 +341,7 @@ def _check_masks(masks: ArrayLike, frustum: Frustum) -> Array:
         raise SpecError(
             f"masks have shape {list(array.shape)}; they must be {form} with the frustum's {what}"
         )
-    return array.sum(axis=1) if frustum.bands else array
+    return array if frustum.bands else array[:, None]
 
 
 def _square_picture(aerial: Aerial) -> Image.Image:
