@@ -185,9 +185,9 @@ def test_coarse_cells_are_means_of_fine_ones(pose, frustum, cells, factor):
 def test_gradients_are_those_of_finite_differences(frustum):
     torch = pytest.importorskip("torch")
     rng = np.random.default_rng(1)
-    poses = np.column_stack([rng.random((4, 2)), rng.uniform(0, 360, 4)])
+    poses = np.column_stack([rng.random((2, 2)), rng.uniform(0, 360, 2)])
     assert torch.autograd.gradcheck(
-        lambda some: slice_masks(some, frustum, 6, "rays"),
+        lambda some: slice_masks(some, frustum, 4, "rays"),
         torch.tensor(poses, requires_grad=True), eps=1e-7, atol=1e-5,
     )  # fmt: skip
 
