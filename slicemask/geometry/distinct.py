@@ -336,14 +336,14 @@ class _View:
 
     From the tile's edge half a turn is in view, from a corner a quarter, from inside everything.
 
-    Azimuths are codes of the circle, ``turn`` in all. The view begins at ``start`` and is ``view``
-    wide; the slice begins ``begin`` after that and is ``width`` wide.
+    Azimuths are codes of the circle, ``full_circle`` in all. The view begins at ``start`` and is
+    ``view`` wide; the slice begins ``begin`` after that and is ``width`` wide.
     """
 
     left: Codes
     left_deg: Array
     right_deg: Array
-    turn: int
+    full_circle: int
     start: Codes
     view: Codes
     begin: Codes
@@ -356,13 +356,13 @@ class _View:
         left_deg: Array, right_deg: Array,
     ) -> "_View":  # fmt: skip
         """The views of slices from places p, q (see `offset_codes`), given by their edges."""
-        turn = 4 * quarter
+        full_circle = 4 * quarter
         width_deg = right_deg - left_deg
         whole, none = same_azimuth(width_deg, 360.0), same_azimuth(width_deg, 0.0)
-        width = np.where(whole, turn, np.where(none, 0, (right - left) % turn))
+        width = np.where(whole, full_circle, np.where(none, 0, (right - left) % full_circle))
         west, east, north, south = p == -edge, p == edge, q == -edge, q == edge
         view = np.select([(west | east) & (north | south), west | east | north | south],
-                         [quarter, 2 * quarter], turn)  # fmt: skip
+                         [quarter, 2 * quarter], full_circle)  # fmt: skip
         start = np.select(
             [north & west, north & east, south & east, south & west, north, east, south, west],
             [quarter, 2 * quarter, 3 * quarter, 0, quarter, 2 * quarter, 3 * quarter, 0],
@@ -370,15 +370,23 @@ class _View:
         )
         straight = same_azimuth(width_deg, 180.0)
         return cls(
-            left, left_deg, right_deg, turn, start, view, (left - start) % turn, width, straight
+            left,
+            left_deg,
+            right_deg,
+            full_circle,
+            start,
+            view,
+            (left - start) % full_circle,
+            width,
+            straight,
         )
 
     def _stretch(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Codes, Codes]:
         """Whether nothing is in view, or two stretches; from and to where it is one."""
         end = self.begin + self.width
         seen = np.minimum(end, self.view) - self.begin  # of the view after the left edge
-        around = np.minimum(end - self.turn, self.view)  # before it, if it wraps
-        at_edge = self.view < self.turn
+        around = np.minimum(end - self.full_circle, self.view)  # before it, if it wraps
+        at_edge = self.view < self.full_circle
         two = at_edge & (seen > 0) & (around > 0)
         nothing = (self.width == 0) | (at_edge & (seen <= 0) & (around <= 0))
         low = np.where(seen > 0, self.begin, 0)
@@ -388,8 +396,8 @@ class _View:
     def shapes(self) -> tuple[Codes, Array]:
         """The shape of each slice, and the left azimuth of those that are HALF."""
         nothing, two, low, high = self._stretch()
-        one = (self.view < self.turn) & ~two
-        everything = (self.width == self.turn) | (one & (low == 0) & (high == self.view))
+        one = (self.view < self.full_circle) & ~two
+        everything = (self.width == self.full_circle) | (one & (low == 0) & (high == self.view))
         half = self.straight | (one & ((low == 0) ^ (high == self.view)))
         half_deg = np.where(one & (low == 0), self.right_deg - 180.0, self.left_deg)
         shape = np.select(
@@ -403,18 +411,18 @@ class _View:
         So slices that are equal within the tile have equal edges. A whole circle begins at 0.
         """
         _, two, low, high = self._stretch()
-        at_edge, circle = self.view < self.turn, self.width == self.turn
+        at_edge, circle = self.view < self.full_circle, self.width == self.full_circle
         one = at_edge & ~two
         from_start, to_end = one & (low == 0), one & (high == self.view)
         from_start, to_end = from_start | (at_edge & circle), to_end | (at_edge & circle)
         end = self.start + self.view
-        left_deg = np.where(from_start, self.start * (360.0 / self.turn), self.left_deg)
-        right_deg = np.where(to_end, end * (360.0 / self.turn), self.right_deg)
+        left_deg = np.where(from_start, self.start * (360.0 / self.full_circle), self.left_deg)
+        right_deg = np.where(to_end, end * (360.0 / self.full_circle), self.right_deg)
         # Where one edge was moved it may be a turn away from the other.
         turned_deg = left_deg + (right_deg - left_deg) % 360.0
         right_deg = np.where(from_start | to_end, turned_deg, right_deg)
-        left = np.where(from_start, self.start, self.left) % self.turn
-        right = np.where(to_end, end, self.left + self.width) % self.turn
+        left = np.where(from_start, self.start, self.left) % self.full_circle
+        right = np.where(to_end, end, self.left + self.width) % self.full_circle
         whole = ~at_edge & circle
         return (
             (np.where(whole, 0.0, left_deg), np.where(whole, 360.0, right_deg)),
@@ -436,7 +444,7 @@ def _orbits(slices: _Slices, place: Any = 0, numbers: int = 1) -> tuple[SectorOr
     if len(u) == 0:
         nothing = np.zeros((0, 1), dtype=bool)
         return SectorOrbit(u, v, left_deg, right_deg, heading_deg, nothing, none, none), none
-    turn = 4 * quarter
+    full_circle = 4 * quarter
     span = 2 * int(max(np.abs(p).max(), np.abs(q).max())) + 1
     best_place = best_edges = np.full(len(u), np.iinfo(np.int64).max)
     best = np.zeros(len(u), dtype=np.int64)
@@ -444,9 +452,9 @@ def _orbits(slices: _Slices, place: Any = 0, numbers: int = 1) -> tuple[SectorOr
     for one, symmetry in enumerate(SYMMETRIES):
         image_p, image_q = symmetry.places(p, q)
         image_left, image_right = symmetry.slices(left, right, quarter)
-        image_number = number if symmetry.turn[0] > 0 else mirrored
+        image_number = number if symmetry.azimuth_map[0] > 0 else mirrored
         image_place = image_p * span + image_q
-        image_edges = image_left % turn * turn + image_right % turn
+        image_edges = image_left % full_circle * full_circle + image_right % full_circle
         image_edges = image_edges * (numbers + 1) + image_number
         smaller = (image_place < best_place) | (
             (image_place == best_place) & (image_edges < best_edges)

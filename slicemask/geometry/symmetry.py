@@ -44,7 +44,7 @@ class Symmetry:
         return self
 
     @property
-    def turn(self) -> tuple[int, int]:
+    def azimuth_map(self) -> tuple[int, int]:
         """(sign, quarters): an azimuth a goes to sign * a + quarters * 90 degrees."""
         sign, quarters = 1, 0
         for applies, constant in ((self.transpose, 3), (self.flip_u, 0), (self.flip_v, 2)):
@@ -65,7 +65,7 @@ class Symmetry:
 
     def azimuth(self, azimuth: Any, quarter: Any) -> Any:
         """Images of azimuths, in any unit of which ``quarter`` make 90 degrees; not wrapped."""
-        sign, quarters = self.turn
+        sign, quarters = self.azimuth_map
         return sign * azimuth + quarters * quarter
 
     def slices(self, left: Any, right: Any, quarter: Any) -> tuple[Any, Any]:
@@ -74,7 +74,7 @@ class Symmetry:
         A mirroring swaps the edges, so that a slice still runs clockwise from left to right.
         The images are not wrapped to one turn.
         """
-        if self.turn[0] < 0:
+        if self.azimuth_map[0] < 0:
             left, right = right, left
         return self.azimuth(left, quarter), self.azimuth(right, quarter)
 

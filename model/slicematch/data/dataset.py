@@ -255,7 +255,7 @@ class PoseDataset(Dataset[Sample | None]):
         if not self._augmented:
             return ground, aerial
         symmetry = self._symmetry(index)
-        if symmetry.turn[0] < 0:
+        if symmetry.azimuth_map[0] < 0:
             ground = ground.flip(-1)
         aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
         return recolour(ground, aerial, self._random(index, "colours"), mean, std)

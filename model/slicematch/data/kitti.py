@@ -212,9 +212,9 @@ class KittiSource(Source):
 
     def _cut(self, index: int, random: np.random.Generator) -> tuple[NDArray[np.float64], float]:
         """The shift (right and up, metres) and turn (degrees) that a sample is cut with."""
-        *shift, turn = random.uniform(-1, 1, 3) if self._draws is None else self._draws[index]
+        *shift, rotation = random.uniform(-1, 1, 3) if self._draws is None else self._draws[index]
         prior = self.config.heading_prior
-        return SHIFT_RANGE_M * np.array(shift), (180.0 if prior is None else prior[1]) * turn
+        return SHIFT_RANGE_M * np.array(shift), (180.0 if prior is None else prior[1]) * rotation
 
 
 def read_split(path: str | Path, with_pose: bool) -> tuple[list[str], NDArray[np.float64] | None]:
