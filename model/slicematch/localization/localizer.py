@@ -91,7 +91,7 @@ class Localizer:
         self.calibrated = calibrated
         self.temperature = config.tau if temperature is None else temperature
         self.frustum: Frustum = config.frustum()
-        self.tile_side_m: float | None = getattr(config, "tile_side_m", None)
+        self.tile_side_m: float | None = config.tile_side_m
         self._within: dict[tuple[HeadingPrior | None, PlacePrior | None], Candidates] = {}
 
     @classmethod
