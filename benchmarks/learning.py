@@ -59,6 +59,8 @@ class Row:
 
 _ALONE = "--no-cross-view-attention"
 _CROPPED = "--elevations=-45,45"
+_FOUR = (_ALONE, "--bands", "6,12,24", _CROPPED)
+_FINE = ("--slices", "32", "--alpha", "K")
 _BOTH = ("none", "mean")
 # SliceMatch's Table 1, by what differs from N = 16, alpha = 4, cross-view attention.
 PAPER = {
@@ -75,11 +77,13 @@ BANDS = {
     "b1": Row("B = 1", (_ALONE,), 3, _BOTH),
     "b2": Row("B = 2: 12 m", (_ALONE, "--bands", "12", _CROPPED), 1, _BOTH),
     "b3": Row("B = 3: 8, 20 m", (_ALONE, "--bands", "8,20", _CROPPED), 1, _BOTH),
-    "b4": Row("B = 4: 6, 12, 24 m", (_ALONE, "--bands", "6,12,24", _CROPPED), 1, _BOTH),
-    "best": Row(
-        "B = 4, N = 32, alpha = K",
-        (_ALONE, "--bands", "6,12,24", _CROPPED, "--slices", "32", "--alpha", "K"),
-        3,
+    "b4": Row("B = 4: 6, 12, 24 m", _FOUR, 1, _BOTH),
+    "b4_n32": Row("B = 4, N = 32, alpha = K", (*_FOUR, *_FINE), 1, _BOTH),
+    "best": Row("the same, batches of 4", (*_FOUR, *_FINE, "--batch-size", "4"), 3, _BOTH),
+    "b1_n32": Row(
+        "B = 1, N = 32, alpha = K, batches of 4",
+        (_ALONE, *_FINE, "--batch-size", "4"),
+        1,
         _BOTH,
     ),
     "b1_cva": Row("B = 1, cross-view attention", (), 1, _BOTH),
