@@ -25,6 +25,7 @@ _COMMANDS = {
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
+    "pack": ("pack", "Write what predicting with a trained RUN takes into a small folder."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 
