@@ -148,7 +148,8 @@ def _frustum(
         raise click.UsageError("Give only one of --hfov and --intrinsics, which tells the HFoV.")
     if _is_given(ctx, "projection") and projection != "pinhole":
         raise click.UsageError("--intrinsics are those of a pinhole camera: --projection pinhole.")
-    return Frustum.from_intrinsics(*intrinsics, slices, bands)
+    fx, cx, width = intrinsics
+    return Frustum.from_intrinsics(fx, cx, width, slices, bands)
 
 
 def _is_given(ctx: click.Context, name: str) -> bool:
