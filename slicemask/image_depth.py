@@ -110,9 +110,11 @@ class Stretch:
     def apply(self, values: NDArray[np.uint16]) -> NDArray[np.uint8]:
         """Values uint16 of any shape as uint8 of that shape."""
         if self.bits is not None:
-            return (np.minimum(values, 2**self.bits - 1) >> (self.bits - 8)).astype(np.uint8)
-        shares = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
-        return np.rint(shares * 255.0).astype(np.uint8)
+            shown = np.minimum(values, 2**self.bits - 1) >> (self.bits - 8)
+        else:
+            shown = np.rint(np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0) * 255.0)
+        scaled: NDArray[np.uint8] = shown.astype(np.uint8)
+        return scaled
 
 
 def stretch_for(values: NDArray[np.uint16]) -> Stretch:

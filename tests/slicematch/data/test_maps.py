@@ -10,12 +10,12 @@ from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import offset_position
 
 pytest.importorskip("rasterio")
-import rasterio  # noqa: E402
-import rasterio.shutil  # noqa: E402
-import rasterio.warp  # noqa: E402
-from rasterio.enums import ColorInterp  # noqa: E402
-from rasterio.transform import from_origin, rowcol  # noqa: E402
-from slicematch.data.maps import AerialMap  # noqa: E402
+import rasterio
+import rasterio.shutil
+import rasterio.warp
+from rasterio.enums import ColorInterp
+from rasterio.transform import from_origin, rowcol
+from slicematch.data.maps import AerialMap
 
 DELFT = 51.9990, 4.3735
 SIZE, METRES = 400, 0.5
