@@ -1,6 +1,8 @@
 from .evaluation.evaluate import evaluate as evaluate
 from .localization.estimate import Estimate as Estimate
 from .localization.localizer import Localizer as Localizer
+from .localization.locate import locate as locate
+from .localization.photos import Priors as Priors
 from .localization.predict import predict as predict
 from .network.slicematch import SliceMatch as SliceMatch
 from .runs.config import TrainConfig as TrainConfig

@@ -59,15 +59,18 @@ def offset_position(
     return float(found_latitude), float(found_longitude)
 
 
-def distance_m(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """Metres between two places (latitude, longitude): the geodesic on WGS 84.
+def offset_between(centre: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
+    """Metres (east, north) from a point (latitude, longitude) to another: `offset_position` undone.
 
     Examples
     --------
-    >>> round(distance_m((52.0, 4.36), (52.001, 4.36)), 1)
-    111.3
+    >>> east_m, north_m = offset_between((52.0, 4.36), offset_position((52.0, 4.36), 3.0, -4.0))
+    >>> round(east_m, 6), round(north_m, 6)
+    (3.0, -4.0)
     """
-    return float(_WGS84.inv(one[1], one[0], other[1], other[0])[2])
+    azimuth_deg, _, metres = _WGS84.inv(centre[1], centre[0], place[1], place[0])
+    azimuth = math.radians(azimuth_deg)
+    return float(metres * math.sin(azimuth)), float(metres * math.cos(azimuth))
 
 
 def check_centre(
