@@ -59,7 +59,20 @@ def offset_position(
     return float(found_latitude), float(found_longitude)
 
 
-def check_centre(centre: tuple[float, float]) -> tuple[float, float]:
+def distance_m(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """Metres between two places (latitude, longitude): the geodesic on WGS 84.
+
+    Examples
+    --------
+    >>> round(distance_m((52.0, 4.36), (52.001, 4.36)), 1)
+    111.3
+    """
+    return float(_WGS84.inv(one[1], one[0], other[1], other[0])[2])
+
+
+def check_centre(
+    centre: tuple[float, float], what: str = "the tile's centre"
+) -> tuple[float, float]:
     """Return the latitude and longitude of a tile's centre, degrees.
 
     A latitude beyond web maps, with a longitude that would be a latitude, is logged: the two are
@@ -76,14 +89,15 @@ def check_centre(centre: tuple[float, float]) -> tuple[float, float]:
     if not (abs(latitude) <= _MOST_LATITUDE and abs(longitude) <= 180.0):
         hint = f"; if the two are swapped, give {swapped}" if could_be_swapped else ""
         raise ConfigError(
-            f"the tile's centre is {latitude:g},{longitude:g}; it must be a latitude from "
+            f"{what} is {latitude:g},{longitude:g}; it must be a latitude from "
             f"-{_MOST_LATITUDE:g} to {_MOST_LATITUDE:g} and a longitude from -180 to 180 degrees"
             f"{hint}"
         )
     if abs(latitude) > _MAP_LATITUDE and could_be_swapped:
         log.warning(
-            "the tile's centre is at latitude %g, beyond all web maps; latitude comes first: if "
-            "the two are swapped, give %s",
+            "%s is at latitude %g, beyond all web maps; latitude comes first: if the two are "
+            "swapped, give %s",
+            what,
             latitude,
             swapped,
         )
