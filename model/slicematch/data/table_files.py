@@ -185,9 +185,7 @@ def _read_parquet(path: Path) -> TableFile:
         table = pyarrow.parquet.read_table(path)
     except pyarrow.ArrowInvalid as error:
         raise DatasetError(f"{path}: is unreadable as Parquet ({error})") from error
-    columns = dict(
-        zip(_names(path, table.column_names), table.to_pydict().values(), strict=True)
-    )
+    columns = dict(zip(_names(path, table.column_names), table.to_pydict().values(), strict=True))
     metadata = (table.schema.metadata or {}).get(b"geo")
     if metadata is not None:
         geo = json.loads(metadata)
@@ -208,11 +206,11 @@ def _points(path: Path, geo: Any, cells: list[bytes | None]) -> dict[str, list[A
             "expected latitude and longitude (EPSG:4326): convert it, or name columns lat and lon"
         )
     points = [None if cell is None else shapely.from_wkb(cell) for cell in cells]
-    held = [point is not None and point.geom_type == "Point" for point in points]
-    return {
-        "lat": [point.y if holds else None for point, holds in zip(points, held, strict=True)],
-        "lon": [point.x if holds else None for point, holds in zip(points, held, strict=True)],
-    }
+    places = [
+        (point.y, point.x) if point is not None and point.geom_type == "Point" else (None, None)
+        for point in points
+    ]
+    return {"lat": [lat for lat, _ in places], "lon": [lon for _, lon in places]}
 
 
 def _read_geojson(path: Path) -> TableFile:
