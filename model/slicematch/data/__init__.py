@@ -13,6 +13,7 @@ from slicematch.errors import ConfigError
 DATA_SETS = {
     "vigor": ("slicematch.data.vigor", "VigorConfig"),
     "kitti": ("slicematch.data.kitti", "KittiConfig"),
+    "table": ("slicematch.data.table", "TableConfig"),
 }
 
 

@@ -169,10 +169,7 @@ class PoseDataset(Dataset[Sample | None]):
     ):
         if part not in get_args(Part):
             raise DatasetError(f"part is {part!r}; it must be one of {', '.join(get_args(Part))}")
-        if not Path(config.root).is_dir():
-            raise DatasetError(
-                f"{config.root}: there is no such folder; name the root of the data tree"
-            )
+        config.check_root()
         self.config = config
         self.part = part
         self.bad_sample_log = bad_sample_log

@@ -18,6 +18,8 @@ from slicemask.images import (
     read_image,
 )
 
+# Headings are drawn on whole columns of a panorama of this width, VIGOR's.
+HEADING_COLUMNS = 2048
 # Above it, the rows of a panorama are no longer rows of equal elevation.
 MAX_TILT_DEG = 2.0
 _NAMESPACE = "http://ns.google.com/photos/1.0/panorama/"
@@ -113,6 +115,30 @@ def turn_panorama(image: Image.Image, heading_deg: float, size: tuple[int, int])
     wrapped = np.pad(pixels, ((0, 0), (margin, margin), (0, 0)), mode="wrap")
     box = (margin + rest, 0, margin + rest + width, height)
     return Image.fromarray(wrapped).resize(size[::-1], Image.Resampling.BILINEAR, box=box)
+
+
+def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | None) -> float:
+    """A heading for a panorama to be turned to, on whole columns of 2048.
+
+    Parameters
+    ----------
+    random : numpy.random.Generator
+        What it is drawn from.
+    prior : (centre, half width) or None
+        Within the half width of the centre, degrees; None for any heading.
+
+    Returns
+    -------
+    float
+        Degrees clockwise from north.
+    """
+    if prior is None:
+        column = random.integers(HEADING_COLUMNS)
+    else:
+        reach = int(prior[1] * HEADING_COLUMNS / 360)
+        centre = round(prior[0] * HEADING_COLUMNS / 360)
+        column = (centre + random.integers(-reach, reach + 1)) % HEADING_COLUMNS
+    return float(column * 360.0 / HEADING_COLUMNS)
 
 
 def _gpano(xmp: object) -> dict[str, str]:

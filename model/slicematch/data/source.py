@@ -170,6 +170,19 @@ class DataConfig:
         """
         return 0.0, 0.0, 1.0, 1.0
 
+    def check_root(self) -> None:
+        """Refuse a root that is not there.
+
+        Raises
+        ------
+        DatasetError
+            If it is no folder, or where a data set is a file, no such file.
+        """
+        if not Path(self.root).is_dir():
+            raise DatasetError(
+                f"{self.root}: there is no such folder; name the root of the data tree"
+            )
+
     def open(self, part: Part) -> "Source":
         """Open the samples of a part.
 

@@ -15,7 +15,7 @@ from PIL import Image
 from slicemask.images import read_aerial, resize
 from slicematch.data.elevations import crop_elevations
 from slicematch.data.errors import DatasetError
-from slicematch.data.panoramas import read_panorama, turn_panorama
+from slicematch.data.panoramas import draw_heading_deg, read_panorama, turn_panorama
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.text import parse_number, read_lines
 
@@ -29,7 +29,6 @@ METRES_PER_PIXEL = {
     "Chicago": 0.111262,
 }
 TILE_PIXELS = 640
-PANORAMA_COLUMNS = 2048
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,13 +216,7 @@ class VigorSource(Source):
     def _heading_deg(self, index: int, random: np.random.Generator) -> float:
         if self.headings_deg is not None:
             return float(self.headings_deg[index])
-        prior = self.config.heading_prior
-        if prior is None:
-            column = random.integers(PANORAMA_COLUMNS)
-        else:
-            reach = int(prior[1] * PANORAMA_COLUMNS / 360)
-            column = random.integers(-reach, reach + 1) % PANORAMA_COLUMNS
-        return float(column * 360.0 / PANORAMA_COLUMNS)
+        return draw_heading_deg(random, self.config.heading_prior)
 
 
 def _cities(config: VigorConfig, part: Part) -> list[str]:

@@ -73,6 +73,25 @@ def offset_between(centre: tuple[float, float], place: tuple[float, float]) -> t
     return float(metres * math.sin(azimuth)), float(metres * math.cos(azimuth))
 
 
+def offset_m(centre: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
+    """East and north of a place from a centre, metres: the inverse of `offset_position`.
+
+    Parameters
+    ----------
+    centre, place : (latitude, longitude)
+        Degrees.
+
+    Examples
+    --------
+    >>> east, north = offset_m((52.0, 4.36), offset_position((52.0, 4.36), 30.0, -40.0))
+    >>> round(east, 6), round(north, 6)
+    (30.0, -40.0)
+    """
+    azimuth_deg, _, length = _WGS84.inv(centre[1], centre[0], place[1], place[0])
+    azimuth = math.radians(azimuth_deg)
+    return float(length * math.sin(azimuth)), float(length * math.cos(azimuth))
+
+
 def check_centre(
     centre: tuple[float, float], what: str = "the tile's centre"
 ) -> tuple[float, float]:
