@@ -214,9 +214,9 @@ class AerialMap:
         (x,), (y,) = self.to_map([lat], [lon])
         step = self._dataset.transform  # a, d: from a pixel to the next one in its row
         at_lat, at_lon = self.to_globe([x, x + step.a], [y, y + step.d])
-        from slicematch.localization.geodesy import offset_between
+        from slicematch.localization.geodesy import offset_m
 
-        return math.hypot(*offset_between((at_lat[0], at_lon[0]), (at_lat[1], at_lon[1])))
+        return math.hypot(*offset_m((at_lat[0], at_lon[0]), (at_lat[1], at_lon[1])))
 
     def __repr__(self) -> str:
         dataset = self._dataset

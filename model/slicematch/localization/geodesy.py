@@ -59,20 +59,6 @@ def offset_position(
     return float(found_latitude), float(found_longitude)
 
 
-def offset_between(centre: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
-    """Metres (east, north) from a point (latitude, longitude) to another: `offset_position` undone.
-
-    Examples
-    --------
-    >>> east_m, north_m = offset_between((52.0, 4.36), offset_position((52.0, 4.36), 3.0, -4.0))
-    >>> round(east_m, 6), round(north_m, 6)
-    (3.0, -4.0)
-    """
-    azimuth_deg, _, metres = _WGS84.inv(centre[1], centre[0], place[1], place[0])
-    azimuth = math.radians(azimuth_deg)
-    return float(metres * math.sin(azimuth)), float(metres * math.cos(azimuth))
-
-
 def offset_m(centre: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
     """East and north of a place from a centre, metres: the inverse of `offset_position`.
 

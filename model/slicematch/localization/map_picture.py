@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slicematch.data.errors import PlaceError
 from slicematch.data.maps import AerialMap
-from slicematch.localization.geodesy import offset_between
+from slicematch.localization.geodesy import offset_m
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +53,7 @@ def draw_answers(aerial_map: AerialMap, answers: Any, title: str = "") -> Figure
         return figure
     lat, lon = found["lat"].to_numpy(), found["lon"].to_numpy()
     centre = (float(lat.min() + lat.max()) / 2, float(lon.min() + lon.max()) / 2)
-    places = np.array([offset_between(centre, place) for place in zip(lat, lon, strict=True)])
+    places = np.array([offset_m(centre, place) for place in zip(lat, lon, strict=True)])
     reach_m = float(np.abs(places).max())
     half_m = reach_m + max(_MARGIN * reach_m, _LEAST_MARGIN_M)
     _draw_map(axes, aerial_map, centre, half_m)

@@ -11,7 +11,7 @@ from slicematch.data.errors import PlaceError
 from slicematch.data.maps import AerialMap, MapTile
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
-from slicematch.localization.geodesy import check_centre, offset_between, offset_position
+from slicematch.localization.geodesy import check_centre, offset_m, offset_position
 from slicematch.localization.localizer import HeadingPrior, Localizer, PlacePrior
 from slicematch.localization.probabilities import ellipse
 from slicematch.localization.tiles import AerialTile
@@ -245,7 +245,7 @@ def place_prior(place: PlaceOnGlobe, tile: MapTile) -> PlacePrior | None:
     """What is known of a place as a prior (u, v, radius) on a tile."""
     if place.within_m is None:
         return None
-    east_m, north_m = offset_between((tile.lat, tile.lon), (place.lat, place.lon))
+    east_m, north_m = offset_m((tile.lat, tile.lon), (place.lat, place.lon))
     side_m = tile.side_m
     if place.within_m > side_m / 2:
         log.warning(

@@ -9,12 +9,13 @@ from typing import Any
 from slicemask.errors import SlicemaskError
 from slicemask.image_formats import FORMATS_TEXT
 from slicematch.data.errors import DatasetError
+from slicematch.data.photographs import read_photographs
 from slicematch.data.positions import read_fix
+from slicematch.data.table_files import SUFFIXES
 from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import check_centre
 from slicematch.localization.localizer import COMPASS_DEG, HeadingPrior
 
-TABLES = (".csv", ".parquet", ".geojson")
 _IMAGES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 # A camera is sought within so many times the accuracy that its receiver reckons.
 _ACCURACIES = 3.0
@@ -119,9 +120,9 @@ def find_photos(
     Parameters
     ----------
     sources : sequence of path
-        Images, folders of images, patterns such as ``photos/*.jpg``, or tables with a column
-        ``ground`` (the image, seen from the table's folder) and, where they are known, ``id``,
-        ``lat``, ``lon``, ``accuracy_m`` and ``heading_deg``.
+        Images, folders of images, patterns such as ``photos/*.jpg``, or tables
+        (`slicematch.data.photographs.read_photographs`), of which the columns ``ground`` and, where
+        they are known, ``id``, ``lat``, ``lon``, ``accuracy_m`` and ``heading_deg`` are used.
     near : (lat, lon), optional
         Where all of them were taken, whatever they say themselves.
 
@@ -139,7 +140,7 @@ def find_photos(
     found: list[dict[str, Any]] = []
     for source in sources:
         path = Path(source)
-        if path.suffix.lower() in TABLES and path.is_file():
+        if path.suffix.lower() in SUFFIXES and path.is_file():
             found += _rows_of(path)
         else:
             found += [{"ground": str(image)} for image in _images(path)]
@@ -167,47 +168,19 @@ def _images(path: Path) -> Iterable[Path]:
 
 
 def _rows_of(path: Path) -> list[dict[str, Any]]:
-    """The rows of a table, with the numbers that are missing left out."""
-    import pandas
-
-    try:
-        if path.suffix.lower() == ".csv":
-            table = pandas.read_csv(path, dtype={"id": str, "ground": str})
-        elif path.suffix.lower() == ".parquet":
-            table = pandas.read_parquet(path)
-        else:
-            import geopandas
-
-            table = geopandas.read_file(path)
-    except (OSError, ValueError, ImportError) as error:
-        reason = str(error).splitlines()[0]
-        raise DatasetError(f"{path}: cannot be read as a table ({reason})") from error
-    if "ground" not in table:
-        raise DatasetError(
-            f"{path}: its columns are {', '.join(map(str, table.columns))}; expected one named "
-            "ground, with the photographs' files"
-        )
-    if "geometry" in table and "lat" not in table:
-        points = table.geometry.to_crs("EPSG:4326")
-        table = table.assign(lat=points.y, lon=points.x)
+    """The rows of a table, with what they say of themselves."""
+    photographs = read_photographs(path)
+    named = "id" in photographs.file.columns
     rows = []
-    for number, row in enumerate(table.to_dict("records"), start=1):
-        if not isinstance(row["ground"], str):
-            raise DatasetError(f"{path}: row {number}: ground is missing; expected an image's file")
-        content: dict[str, Any] = {"ground": str(path.parent / row["ground"])}
-        if isinstance(row.get("id"), str | int):
-            content["id"] = str(row["id"])
-        for name in ("lat", "lon", "accuracy_m", "heading_deg"):
-            value = row.get(name)
-            if value is None or value != value:
-                continue
-            try:
-                content[name] = float(value)
-            except (TypeError, ValueError) as error:
-                raise DatasetError(
-                    f"{path}: row {number}: {name} is {value!r}; expected a number"
-                ) from error
-        rows.append(content)
+    for number, ground in enumerate(photographs.ground):
+        row: dict[str, Any] = {"ground": ground}
+        if named:
+            row["id"] = photographs.ids[number]
+        for column in ("lat", "lon", "accuracy_m", "heading_deg"):
+            value = photographs.number(column, number)
+            if value is not None:
+                row[column] = value
+        rows.append(row)
     return rows
 
 
@@ -231,7 +204,7 @@ def _check_ids(photos: list[Photo]) -> None:
     for photo in photos:
         if photo.id in seen:
             raise DatasetError(
-                f"rows {seen[photo.id] + 1} and {photo.row + 1} are both {photo.id!r}; each "
-                "photograph needs an id of its own"
+                f"photographs {seen[photo.id] + 1} and {photo.row + 1} are both {photo.id!r}; each "
+                "needs an id of its own: name it once, or give a table a column id"
             )
         seen[photo.id] = photo.row

@@ -13,7 +13,7 @@ from PIL import Image
 from slicematch.data.errors import DatasetError, MapError
 from slicematch.data.maps import AerialMap
 from slicematch.errors import ConfigError, RunError
-from slicematch.localization.geodesy import offset_between, offset_position
+from slicematch.localization.geodesy import offset_m, offset_position
 from slicematch.localization.locate import Located, locate, partition
 from slicematch.localization.on_map import lattice_point
 from slicematch.localization.photos import Photo, Priors, find_photos
@@ -54,7 +54,7 @@ def test_an_answer_is_what_the_localizer_finds_in_the_tile(find, mapped, localiz
         x, y = opened.to_map([row.lat], [row.lon])
         assert (row.x, row.y) == pytest.approx((x[0], y[0]), abs=2e-3)
         # The tile lies around the place, but for the lattice that neighbours share.
-        away = offset_between((tile.lat, tile.lon), (row.prior_lat, row.prior_lon))
+        away = offset_m((tile.lat, tile.lon), (row.prior_lat, row.prior_lon))
         assert np.hypot(*away) <= side_m / 16 * 0.71
 
 
@@ -91,7 +91,7 @@ def test_answers_are_written_by_the_suffix(find, suffix):
 def test_priors_bound_the_answers(find, mapped, localizer):
     located = find(priors=Priors(within_m=20.0, heading_deg=90.0, heading_half_width_deg=50.0))
     for row in located.answers.itertuples():
-        away = offset_between((row.prior_lat, row.prior_lon), (row.lat, row.lon))
+        away = offset_m((row.prior_lat, row.prior_lon), (row.lat, row.lon))
         assert np.hypot(*away) <= 20.01
         assert abs(row.heading_deg - 90.0) <= 50.001
     assert (located.answers["prior_heading_half_width_deg"] == 50).all()
@@ -133,7 +133,7 @@ def test_what_cannot_be_located_is_listed_and_the_rest_goes_on(find, mapped, tmp
     table["lat"], table["lon"] = 51.9990, 4.3735
     table.loc[1, ["lat", "lon"]] = 4.3735, 51.9990
     table.loc[2, ["lat", "lon"]] = 48.85, 2.35
-    table.loc[3, ["lat", "lon"]] = 120.0, 4.0
+    table.loc[3, ["lat", "lon"]] = 89.5, 4.0
     table.loc[4, "ground"] = "mixed/missing.jpg"
     table.to_csv(tmp_path / "photos.csv", index=False)
     located = find([tmp_path / "photos.csv"], out="answers.geojson")
@@ -142,7 +142,7 @@ def test_what_cannot_be_located_is_listed_and_the_rest_goes_on(find, mapped, tmp
     assert "cut short" in errors[0] or "corrupt" in errors[0]
     assert "if the two are swapped, give 51.999000,4.373500" in errors[1]
     assert "does not show 48.85" in errors[2]
-    assert "its place is 120,4" in errors[3]
+    assert "its place is 89.5,4" in errors[3]
     assert "there is no such image" in errors[4]
     assert located.summary()["located"] == 2
     assert "2 of 7 photographs located" in located.report()
@@ -221,9 +221,7 @@ def test_photographs_near_each_other_share_a_tile():
     parts = partition(photos, 5.0)
     assert sorted(photo.row for part in parts for photo in part) == list(range(50))
     assert partition(photos[::-1], 5.0) != []
-    away = [
-        np.hypot(*offset_between(lattice_point(p.lat, p.lon, 5.0), (p.lat, p.lon))) for p in photos
-    ]
+    away = [np.hypot(*offset_m(lattice_point(p.lat, p.lon, 5.0), (p.lat, p.lon))) for p in photos]
     assert max(away) <= 5.0 * 0.71
 
 
@@ -259,17 +257,16 @@ def test_requests_that_are_refused(find, tmp_path, options, error, said):
     assert not (tmp_path / "answers.csv").exists()
 
 
-def test_ids_that_come_twice(mapped, tmp_path):
+def test_photographs_that_come_twice(mapped, tmp_path):
+    photo = sorted(mapped.folder.iterdir())[0]
+    with pytest.raises(DatasetError, match=r"photographs 1 and 7 are both '.*photo_000.jpg'"):
+        find_photos([mapped.folder, photo])
     table = tmp_path / "t.csv"
-    table.write_text("id,ground,lat,lon\na,1.jpg,1,2\nb,2.jpg,1,2\na,3.jpg,1,2\n")
-    with pytest.raises(DatasetError, match="rows 1 and 3 are both 'a'"):
+    table.write_text(f"ground,lat,lon\n{photo},1,2\n{photo},1,2\n")
+    with pytest.raises(DatasetError, match="each needs an id of its own"):
         find_photos([table])
-    table.write_text("ground,lat,lon\n1.jpg,north,2\n")
-    with pytest.raises(DatasetError, match="row 1: lat is 'north'; expected a number"):
-        find_photos([table])
-    table.write_text("image,lat,lon\n1.jpg,1,2\n")
-    with pytest.raises(DatasetError, match="columns are image, lat, lon; expected one"):
-        find_photos([table])
+    table.write_text(f"id,ground,lat,lon\na,{photo},1,2\nb,{photo},1,2\n")
+    assert [one.id for one in find_photos([table])] == ["a", "b"]
 
 
 def test_the_command(run, cache, mapped, tmp_path):
