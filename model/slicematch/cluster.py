@@ -1,6 +1,8 @@
 """Parts of work on many processes and machines, by Dask distributed."""
 
 import contextlib
+import logging
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from itertools import islice
@@ -74,13 +76,13 @@ def do_on_dask(
 
 def _do(shared: tuple[Work, Parts], number: int, items: Sequence[Any]) -> int:
     """Do one part in a worker."""
-    import torch
     from distributed import get_worker
 
     work, parts = shared
     with _one_at_a_time:
-        # The worker's threads do one part together.
-        torch.set_num_threads(get_worker().state.nthreads)
+        # The worker's threads do one part together. Dask would give torch one of them.
+        if torch := sys.modules.get("torch"):
+            torch.set_num_threads(get_worker().state.nthreads)
         return do_part(work, parts, number, items)
 
 
@@ -113,7 +115,7 @@ def _client(distributed: Any, where: str) -> Iterator[Any]:
             dashboard_address=None,
             # The system's own limit is enough: Dask would end processes that only read a map.
             memory_limit=0,
-            silence_logs="ERROR",
+            silence_logs=logging.CRITICAL,
         ) as cluster,
         distributed.Client(cluster) as client,
     ):

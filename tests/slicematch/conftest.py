@@ -372,3 +372,12 @@ def gps_tags(lat, lon):
     return {
         1: "S" if lat < 0 else "N", 2: parts(lat), 3: "W" if lon < 0 else "E", 4: parts(lon),
     }  # fmt: skip
+
+
+@pytest.fixture
+def one_thread():
+    """Torch computes with one thread, as it does in each of Dask's processes."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -302,6 +302,7 @@ def test_the_result_is_a_located():
     assert "0 of 1 photographs located" in Located(frame, "EPSG:4326", False).report()
 
 
+@pytest.mark.slow
 def test_killed_and_repeated_it_goes_on(run, cache, mapped, tmp_path):
     out = tmp_path / "answers.csv"
     code = (
@@ -324,3 +325,11 @@ def test_killed_and_repeated_it_goes_on(run, cache, mapped, tmp_path):
     )  # fmt: skip
     assert seen[0] == 2
     assert len(located.answers) == 6
+
+
+@pytest.mark.slow
+def test_on_dask_the_answers_are_the_same_bytes(find, one_thread):
+    pytest.importorskip("distributed")
+    alone, together = find(out="a.parquet"), find(out="b.parquet", dask="2")
+    assert alone.out.read_bytes() == together.out.read_bytes()
+    assert together.answers["error"].isna().all()
