@@ -7,22 +7,14 @@ import click
 from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import as_json_option, given_options
 from slicemask.cli.output import print_result, progress_bar, status_line
-from slicemask.cli.places import Length, map_options
+from slicemask.cli.places import Length, map_option, map_options
 from slicemask.cli.run_options import check_model_installed, refine_option, run_options
-
-map_option = click.option(
-    "--map",
-    "aerial_map",
-    required=True,
-    metavar="FILE",
-    help="A georeferenced raster that GDAL reads: GeoTIFF, COG, JPEG 2000, VRT, service file.",
-)
 
 
 @click.command()
 @run_options
 @click.argument("photos", nargs=-1, required=True)
-@map_option
+@map_option()
 @click.option(
     "--out",
     required=True,

@@ -53,6 +53,17 @@ class Heading(ParamType):
             )
 
 
+def map_option(required: bool = True) -> Callable[..., Any]:
+    """The option --map."""
+    return click.option(
+        "--map",
+        "aerial_map",
+        required=required,
+        metavar="FILE",
+        help="A georeferenced raster that GDAL reads: GeoTIFF, COG, JPEG 2000, VRT, service file.",
+    )
+
+
 _MAP_OPTIONS = (
     click.option("--near", type=Numbers("lat,lon"), help="Where they were taken, about."),
     click.option(

@@ -33,9 +33,6 @@ from slicematch.runs.folder import Checkpoint, RunFolder
 
 log = logging.getLogger(__name__)
 
-# An accuracy that a photograph says of itself leaves at least this share of the tile's side.
-_LEAST_REACH = 1 / 8
-
 
 @dataclass(frozen=True)
 class Locating:
@@ -71,21 +68,17 @@ class Locating:
 
     def answer(self, photo: Photo) -> Row:
         """The answer of one photograph; of one that cannot be located, the error."""
-        row: Row = {"row": photo.row, "id": photo.id, "ground": photo.ground}
-        if photo.lat is None or photo.lon is None or photo.error is not None:
-            return row | {"error": photo.error or "says nothing of its place"}
-        on_map = self.localizer()
-        within_m = self.priors.distance_m(photo, on_map.side_m * _LEAST_REACH)
-        heading = self.priors.heading(photo)
-        row |= {"prior_lat": photo.lat, "prior_lon": photo.lon, "prior_within_m": within_m}
-        if heading is not None:
-            row |= {"prior_heading_deg": heading[0], "prior_heading_half_width_deg": heading[1]}
+        row = photo.known(self.priors, None)
         try:
-            place = PlaceOnGlobe(photo.lat, photo.lon, within_m)
-            return row | on_map.localize(photo.ground, place, heading).as_row()
+            lat, lon = photo.place()
+            on_map = self.localizer()
+            place = PlaceOnGlobe(lat, lon, self.priors.distance_m(photo, on_map.side_m))
+            row["prior_within_m"] = place.within_m
+            found = on_map.localize(photo.ground, place, self.priors.heading(photo))
         except (ImageError, SampleError, ConfigError) as error:
             raise_lack_of_resources(error)
             return row | {"error": str(error)}
+        return row | found.as_row()
 
     def localizer(self) -> MapLocalizer:
         """The run and the map, loaded in this process."""

@@ -61,8 +61,6 @@ class MapAnswer:
         In the tile's frame.
     tile : MapTile
         Where the camera was sought; without its image.
-    place : PlaceOnGlobe
-        What was known.
     crs : str
         The map's coordinate system.
     x, y : float
@@ -71,10 +69,18 @@ class MapAnswer:
 
     estimate: Estimate
     tile: MapTile
-    place: PlaceOnGlobe
     crs: str
     x: float
     y: float
+
+    @classmethod
+    def of(cls, estimate: Estimate, tile: MapTile, aerial_map: AerialMap) -> "MapAnswer":
+        """An estimate in a tile of a map as an answer on the map."""
+        lat, lon = _position(estimate, tile)
+        (x,), (y,) = aerial_map.to_map([lat], [lon])
+        return cls(
+            estimate, replace(tile, image=tile.image[:0]), aerial_map.crs, float(x), float(y)
+        )
 
     @cached_property
     def position(self) -> tuple[float, float]:
@@ -171,8 +177,7 @@ class MapLocalizer:
             tile, encoded = self._encoded((place.lat, place.lon))
         prior = place_prior(place, tile)
         estimate = self.localizer.localize(ground, encoded, heading_prior, prior)
-        (x,), (y,) = self.map.to_map(*([value] for value in _position(estimate, tile)))
-        return MapAnswer(estimate, tile, place, self.map.crs, float(x), float(y))
+        return MapAnswer.of(estimate, tile, self.map)
 
     def _encoded(self, centre: tuple[float, float]) -> tuple[MapTile, AerialTile]:
         if centre not in self._tiles:

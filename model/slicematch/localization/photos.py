@@ -8,7 +8,7 @@ from typing import Any
 
 from slicemask.errors import SlicemaskError
 from slicemask.image_formats import FORMATS_TEXT
-from slicematch.data.errors import DatasetError
+from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.photographs import read_photographs
 from slicematch.data.positions import read_fix
 from slicematch.data.table_files import SUFFIXES
@@ -18,7 +18,7 @@ from slicematch.localization.localizer import COMPASS_DEG, HeadingPrior
 
 _IMAGES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 # A camera is sought within so many times the accuracy that its receiver reckons.
-_ACCURACIES = 3.0
+_ACCURACIES, _LEAST_REACH = 3.0, 1 / 8
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,26 @@ class Photo:
         """Its attributes by name."""
         return asdict(self)
 
+    def place(self) -> tuple[float, float]:
+        """Latitude and longitude where it is sought.
+
+        Raises
+        ------
+        SampleError
+            If it says nothing of that, or cannot be located for another reason.
+        """
+        if self.error is not None or self.lat is None or self.lon is None:
+            raise SampleError(self.error or f"{self.ground}: says nothing of where it was taken")
+        return self.lat, self.lon
+
+    def known(self, priors: "Priors", within_m: float | None) -> dict[str, Any]:
+        """What is known of it, as columns of `slicematch.localization.answers.ANSWER_COLUMNS`."""
+        row = {"row": self.row, "id": self.id, "ground": self.ground}
+        row |= {"prior_lat": self.lat, "prior_lon": self.lon, "prior_within_m": within_m}
+        if heading := priors.heading(self):
+            row |= {"prior_heading_deg": heading[0], "prior_heading_half_width_deg": heading[1]}
+        return row
+
 
 @dataclass(frozen=True)
 class Priors:
@@ -90,16 +110,16 @@ class Priors:
         if self.heading_deg is not None and not math.isfinite(self.heading_deg):
             raise ConfigError(f"the heading is {self.heading_deg:g} degrees; it must be finite")
 
-    def distance_m(self, photo: Photo, least_m: float) -> float | None:
+    def distance_m(self, photo: Photo, side_m: float) -> float | None:
         """How far from its place a photograph is sought, metres; None for anywhere in the tile.
 
-        An accuracy that a photograph says of itself counts for no less than `least_m`.
+        An accuracy that a photograph says of itself leaves an eighth of the tile's side at least.
         """
         if self.within_m is not None:
             return self.within_m
         if photo.accuracy_m is None:
             return None
-        return max(_ACCURACIES * photo.accuracy_m, least_m)
+        return max(_ACCURACIES * photo.accuracy_m, _LEAST_REACH * side_m)
 
     def heading(self, photo: Photo) -> HeadingPrior | None:
         """The prior (centre, half width) of a photograph's heading, degrees; None for the run's."""
@@ -144,7 +164,7 @@ def find_photos(
             found += _rows_of(path)
         else:
             found += [{"ground": str(image)} for image in _images(path)]
-    photos = [_photo(number, row, near) for number, row in enumerate(found)]
+    photos = [photo_of(number, row, near) for number, row in enumerate(found)]
     _check_ids(photos)
     return photos
 
@@ -184,8 +204,8 @@ def _rows_of(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _photo(number: int, row: dict[str, Any], near: tuple[float, float] | None) -> Photo:
-    """A photograph with what it says of itself, where its row says nothing."""
+def photo_of(number: int, row: dict[str, Any], near: tuple[float, float] | None) -> Photo:
+    """A photograph with what it says of itself, where its row, or `near`, does not say more."""
     row = {"id": row["ground"]} | row
     if near is not None:
         row |= {"lat": near[0], "lon": near[1]}
