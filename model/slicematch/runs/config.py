@@ -79,6 +79,9 @@ class TrainConfig:
         What both encoders start from: "imagenet", "none", or a file.
     stride : int
         Stride of the feature maps, in pixels.
+    pyramid : int or None
+        Channels of a feature pyramid over the encoder's stages of this stride and deeper (ours);
+        None for the features of that stage alone.
     ground_size : (height, width) or None
         Pixels of the ground images; None for the paper's.
     aerial_size : int
@@ -185,6 +188,7 @@ class TrainConfig:
     encoder: str = "vgg16"
     weights: str = "imagenet"
     stride: int = 16
+    pyramid: int | None = None
     ground_size: tuple[int, int] | None = None
     aerial_size: int = 512
     image_mean: Triple | None = field(default=None, metadata=_KEPT)
@@ -232,6 +236,7 @@ class TrainConfig:
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
+        self._check("pyramid", self.pyramid is None or self.pyramid >= 1, "None or at least 1")
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate"):
