@@ -442,9 +442,15 @@ class TrainConfig:
                 value = self.data_settings[setting.name]
                 settings[setting.name] = convert(setting.name, value, setting.type)
         try:
-            return kind(**settings)
+            found = kind(**settings)
         except ValueError as error:
             raise ConfigError(str(error)) from error
+        if self.projection not in (None, found.projection) and kind is not config_class(OWN):
+            raise ConfigError(
+                f"{found.root}: its images are {found.projection}, and the run's are "
+                f"{self.projection}; name images of the run's kind"
+            )
+        return found
 
     def dataset(
         self,
