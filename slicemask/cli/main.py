@@ -21,6 +21,7 @@ _COMMANDS = {
     "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
     "visualize": ("bank", "Draw the slices of a pose."),
     "synth": ("synth", "Generate a city with exact poses, on disk as VIGOR or KITTI."),
+    "table": ("table", "Write a table of photographs from VIGOR, KITTI, or a folder of them."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),

@@ -25,7 +25,7 @@ from slicematch.data.table_cameras import table_cameras
 from slicematch.data.table_checks import check_rows
 from slicematch.data.table_files import find_table
 from slicematch.data.views import View, camera_view, cut_view
-from slicematch.data.windows import Metres, cut_window, place_window
+from slicematch.data.windows import Metres, cut_window, place_window, tile_pixels
 
 if TYPE_CHECKING:
     from slicematch.data.maps import AerialMap
@@ -294,8 +294,9 @@ class TableSource(Source):
     def _camera_in_tile(self, row: int) -> tuple[float, Metres]:
         """The side of a row's tile, and the camera in metres east and north of its centre."""
         numbers = self.photographs.numbers
-        side_m = _pixels(str(self.photographs.tile[row])) * float(numbers["metres_per_pixel"][row])
-        side_m = side_m or self.side_m  # of an unreadable tile, which its image will say
+        pixels = tile_pixels(str(self.photographs.tile[row]))
+        # Of an unreadable tile nobody knows; reading its image will say so.
+        side_m = pixels * float(numbers["metres_per_pixel"][row]) or self.side_m
         if not np.isnan(numbers["u"][row]):
             return side_m, side_m * np.array([numbers["u"][row] - 0.5, 0.5 - numbers["v"][row]])
         centre, place = self._place(row, "tile_lat", "tile_lon"), self._place(row, "lat", "lon")
@@ -321,23 +322,13 @@ def _offset(centre: tuple[float, float], place: tuple[float, float]) -> Metres:
     return np.array(offset_m(centre, place))
 
 
-@functools.lru_cache(maxsize=100_000)
-def _pixels(path: str) -> int:
-    """The width of a tile in pixels, from its head alone; 0 if it is unreadable."""
-    try:
-        with Image.open(path) as image:
-            return image.width
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return 0
-
-
 def _smallest_side_m(photographs: Photographs) -> float:
     """The side that all tiles of a table have, in metres."""
     rows = [row for row, tile in enumerate(photographs.tile) if tile is not None]
     chosen = np.linspace(0, len(rows) - 1, _SAMPLED_TILES).astype(int) if rows else ()
     some = {rows[k] for k in chosen}
     metres = photographs.numbers["metres_per_pixel"]
-    sides = [_pixels(str(photographs.tile[row])) * float(metres[row]) for row in some]
+    sides = [tile_pixels(str(photographs.tile[row])) * float(metres[row]) for row in some]
     return min((side for side in sides if side > 0), default=DEFAULT_SIDE_M)
 
 
