@@ -1,3 +1,4 @@
+from .data.dataset import PoseDataset as PoseDataset
 from .evaluation.evaluate import evaluate as evaluate
 from .localization.estimate import Estimate as Estimate
 from .localization.localizer import Localizer as Localizer

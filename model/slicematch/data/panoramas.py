@@ -62,7 +62,7 @@ def read_panorama(source: Picture) -> Panorama:
         `MAX_TILT_DEG`, or its GPano data are inconsistent.
     """
     image, name = read_image(source), name_of(source)
-    data = _gpano(image.info.get("xmp"))
+    data = gpano_properties(image.info.get("xmp"))
     projection = data.get("ProjectionType", "equirectangular")
     if projection != "equirectangular":
         raise ImageError(
@@ -141,7 +141,7 @@ def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | N
     return float(column * 360.0 / HEADING_COLUMNS)
 
 
-def _gpano(xmp: object) -> dict[str, str]:
+def gpano_properties(xmp: object) -> dict[str, str]:
     """The GPano properties in an XMP packet, as attributes or as elements."""
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp or "")
     bound = re.search(rf"""xmlns:([\w.-]+)\s*=\s*["']{re.escape(_NAMESPACE)}["']""", text)

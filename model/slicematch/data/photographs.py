@@ -211,8 +211,8 @@ def _ids(file: TableFile, ground: list[str]) -> list[str]:
         if name is None:
             raise wrong_cell(file, row, "id", "a name, as the table has such a column")
         if name in first:
-            number = file.numbers[first[name]]
-            raise wrong_cell(file, row, "id", f"one of its own, which {number} has already")
+            other = f"{file.row_word} {file.numbers[first[name]]}"
+            raise wrong_cell(file, row, "id", f"a name of its own, and {other} has the same")
         first[name] = row
     return list(first)
 

@@ -248,6 +248,8 @@ class Source(ABC):
     labels : int [n] or None
         Which label of its files, all counted in their order, each sample comes from; None where
         headings are not drawn but stand in the files.
+    poses_need_images : bool
+        Whether a pose is known only once the sample's images are loaded.
     """
 
     names: list[str]
@@ -257,6 +259,7 @@ class Source(ABC):
     headings_deg: NDArray[np.float64] | None = None
     labels: NDArray[np.intp] | None = None
     label_count: int = 0
+    poses_need_images: bool = False
 
     @abstractmethod
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:

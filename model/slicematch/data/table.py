@@ -6,6 +6,7 @@ latitude and longitude in a tile whose centre is known; or those alone, with a m
 
 import functools
 import logging
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,14 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from slicemask.images import read_aerial
+from slicemask.images import read_aerial, read_image
 from slicematch.data.elevations import crop_elevations
 from slicematch.data.errors import DatasetError
 from slicematch.data.panoramas import draw_heading_deg, read_panorama, turn_panorama
 from slicematch.data.photographs import Photographs, read_photographs
 from slicematch.data.source import DataConfig, Part, Source
+from slicematch.data.table_cameras import table_cameras
+from slicematch.data.table_checks import check_rows
 from slicematch.data.table_files import find_table
-from slicematch.data.windows import Metres, cut_window, place_window
+from slicematch.data.views import View, camera_view, cut_view
+from slicematch.data.windows import Metres, cut_window, place_window, tile_pixels
 
 if TYPE_CHECKING:
     from slicematch.data.maps import AerialMap
@@ -40,19 +44,27 @@ _MAP_NAMES = ("map.tif", "map.vrt", "map.jp2")
 class TableConfig(DataConfig):
     """Settings of a table of photographs: those of `DataConfig` and the following.
 
-    The root is the table, or the folder of one. A heading prior is centred on north. The column
-    ``split`` tells the parts; without it, every row is of all of them, and the test part is what
-    was trained on.
+    The root is the table, or the folder of one; ``cameras.yaml`` beside it holds the cameras that
+    the column ``camera`` names (`slicematch.data.cameras.load_cameras`), and without it all
+    photographs are whole panoramas. The column ``split`` tells the parts; without it, every row is
+    of all of them, and the test part is what was trained on.
 
-    Whole panoramas are turned: training draws the heading of each anew in every epoch, validation
-    and test once and for all, as with VIGOR. Aerial tiles larger than the side are cut to it, with
-    the camera off the centre by a random shift, drawn likewise.
+    Whole panoramas are turned: training draws the heading of each anew in every epoch, within the
+    heading prior around north, validation and test once and for all, as with VIGOR. Other images
+    keep the heading of the table, so that they take no such prior. Aerial tiles larger than the
+    side are cut to it, with the camera off the centre by a random shift, drawn likewise.
+
+    A run has one camera. Images of another one are cropped to its view and resized.
 
     Parameters
     ----------
     side_m : float or None
         Side of the aerial tiles on the ground, in metres, as the model sees them; None for that of
         the table's smallest tile, or, where it has a map alone, 70.
+    view : (left, right, highest) or None
+        The part of images that is used, in degrees: azimuths of the left and the right edge from
+        the heading (of a pinhole camera from the optical axis), and the elevation of the upper
+        edge, with as much below the horizon; None for all that the camera of most rows shows.
     shift_m : float or None
         How far the camera may stand off the centre of a tile that is cut, in metres to the east and
         to the north; None for a quarter of the side.
@@ -69,7 +81,7 @@ class TableConfig(DataConfig):
     """
 
     projection = "equirectangular"
-    hfov_deg = 360.0
+    hfov_deg = None
     ground_aspect = 2.0
     camera_height_m = 2.5
     prior_centre_deg = 0.0
@@ -78,6 +90,7 @@ class TableConfig(DataConfig):
 
     ground_size: tuple[int, int] = (320, 640)
     side_m: float | None = None
+    view: tuple[float, float, float] | None = None
     shift_m: float | None = None
     map: str | None = None
     map_crs: str | None = None
@@ -89,12 +102,38 @@ class TableConfig(DataConfig):
                 f"split is {self.split!r}; a table tells its parts by its column split: make a "
                 "table of each area"
             )
+        if self.view is not None:
+            object.__setattr__(self, "view", tuple(self.view))
+            left, right, highest = self.view
+            if not (left < right <= left + 360.0 and 0.0 < highest <= 90.0):
+                raise DatasetError(
+                    f"view is {self.view}; it must be the azimuths of the left and of the right "
+                    "edge and the highest elevation, such as -35,35,20 degrees"
+                )
         for name, least in (("side_m", "above 0"), ("shift_m", "at least 0")):
             value = getattr(self, name)
             if value is not None and not (value > 0 or (value == 0 and least == "at least 0")):
                 raise DatasetError(f"{name} is {value!r}; it must be {least}, in metres")
-        if Path(self.root).exists() and self.side_m is None:
-            object.__setattr__(self, "side_m", _smallest_side_m(self.photographs()))
+        if Path(self.root).exists():
+            self._look_at_the_table()
+
+    def _look_at_the_table(self) -> None:
+        """Fill in what only the table and its cameras say."""
+        photographs = self.photographs()
+        if self.side_m is None:
+            object.__setattr__(self, "side_m", _smallest_side_m(photographs))
+        cameras = table_cameras(photographs)
+        main, _ = Counter(cameras.of_rows).most_common(1)[0]
+        camera = cameras.by_name[main]
+        view = camera_view(camera, main) if self.view is None else View(*self.view)
+        facts = {
+            "view": tuple(view),
+            "projection": camera.projection,
+            "hfov_deg": view.hfov_deg,
+            "ground_aspect": view.aspect(camera),
+        }
+        for name, value in facts.items():
+            object.__setattr__(self, name, value)
 
     def check_root(self) -> None:
         """Refuse a root that is neither a table nor the folder of one."""
@@ -151,19 +190,44 @@ class TableSource(Source):
         If the map cannot be opened.
     """
 
-    hfov_deg = 360.0
-
     def __init__(self, config: TableConfig, part: Part) -> None:
         self.config = config
+        self.view = View(*config.view) if config.view is not None else View(-180.0, 180.0, 90.0)
+        self.hfov_deg = self.view.hfov_deg
         self.photographs = photographs = config.photographs()
         self.side_m = config.side_m or DEFAULT_SIDE_M
         self._rows = _rows(photographs, config, part)
         self._map = _map_of(config, photographs, self._rows)
-        _check_rows(photographs, self._rows, self._map)
+        check_rows(photographs, self._rows, self._map)
+        self._cameras = table_cameras(photographs)
+        self._turned = self._check_cameras()
         self.names = [photographs.ids[row] for row in self._rows]
         self.tile_metres = np.full(len(self._rows), self.side_m)
-        self.labels = np.arange(len(self._rows))
-        self.label_count = len(self._rows)
+        if self._turned:
+            self.labels = np.arange(len(self._rows))
+            self.label_count = len(self._rows)
+
+    def _check_cameras(self) -> bool:
+        """Whether all photographs can be turned; refuse cameras that do not go together."""
+        names = sorted({self._cameras.of_rows[row] for row in self._rows})
+        cameras = [self._cameras.by_name[name] for name in names]
+        kinds = {camera.projection for camera in cameras}
+        if len(kinds) > 1:
+            listed = ", ".join(
+                f"{name} {camera.projection}" for name, camera in zip(names, cameras, strict=True)
+            )
+            raise DatasetError(
+                f"{self.photographs.file.path}: its cameras are of different projections "
+                f"({listed}); a run has one: make a table of each"
+            )
+        turned = self.hfov_deg == 360.0
+        if not turned and self.config.heading_prior is not None:
+            raise DatasetError(
+                f"heading_half_width_deg is {self.config.heading_half_width_deg:g}; only whole "
+                "panoramas are turned to a prior, and these images have the headings of the "
+                "table: train without one, and give one for each photograph that is located"
+            )
+        return turned
 
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
         """The true pose of a sample; see `Source.pose`."""
@@ -186,14 +250,20 @@ class TableSource(Source):
     def _draw(self, index: int, random: np.random.Generator) -> tuple[float, Metres]:
         """The heading that a sample is turned to, and how far its tile's centre is moved."""
         heading_deg = draw_heading_deg(random, self.config.heading_prior)
-        if self.headings_deg is not None:
+        if not self._turned:
+            heading_deg = float(self.photographs.numbers["heading_deg"][self._rows[index]])
+        elif self.headings_deg is not None:
             heading_deg = float(self.headings_deg[index])
         reach = self.side_m / 4 if self.config.shift_m is None else self.config.shift_m
         return heading_deg, random.uniform(-reach, reach, 2)
 
     def _ground(self, row: int, heading_deg: float) -> Image.Image:
-        config = self.config
-        panorama = read_panorama(self.photographs.ground[row]).image
+        config, path = self.config, self.photographs.ground[row]
+        if not self._turned:
+            camera = self._cameras.by_name[self._cameras.of_rows[row]]
+            image = camera.undistort(read_image(path), path)
+            return cut_view(image, camera, self.view, config.elevations, config.ground_size, path)
+        panorama = read_panorama(path).image
         cropped = crop_elevations(panorama, config.elevations, config.projection, self.hfov_deg)
         rotation_deg = heading_deg - float(self.photographs.numbers["heading_deg"][row])
         return turn_panorama(cropped, rotation_deg, config.ground_size)
@@ -224,8 +294,9 @@ class TableSource(Source):
     def _camera_in_tile(self, row: int) -> tuple[float, Metres]:
         """The side of a row's tile, and the camera in metres east and north of its centre."""
         numbers = self.photographs.numbers
-        side_m = _pixels(str(self.photographs.tile[row])) * float(numbers["metres_per_pixel"][row])
-        side_m = side_m or self.side_m  # of an unreadable tile, which its image will say
+        pixels = tile_pixels(str(self.photographs.tile[row]))
+        # Of an unreadable tile nobody knows; reading its image will say so.
+        side_m = pixels * float(numbers["metres_per_pixel"][row]) or self.side_m
         if not np.isnan(numbers["u"][row]):
             return side_m, side_m * np.array([numbers["u"][row] - 0.5, 0.5 - numbers["v"][row]])
         centre, place = self._place(row, "tile_lat", "tile_lon"), self._place(row, "lat", "lon")
@@ -251,23 +322,13 @@ def _offset(centre: tuple[float, float], place: tuple[float, float]) -> Metres:
     return np.array(offset_m(centre, place))
 
 
-@functools.lru_cache(maxsize=100_000)
-def _pixels(path: str) -> int:
-    """The width of a tile in pixels, from its head alone; 0 if it is unreadable."""
-    try:
-        with Image.open(path) as image:
-            return image.width
-    except (OSError, ValueError, Image.DecompressionBombError):
-        return 0
-
-
 def _smallest_side_m(photographs: Photographs) -> float:
     """The side that all tiles of a table have, in metres."""
     rows = [row for row, tile in enumerate(photographs.tile) if tile is not None]
     chosen = np.linspace(0, len(rows) - 1, _SAMPLED_TILES).astype(int) if rows else ()
     some = {rows[k] for k in chosen}
     metres = photographs.numbers["metres_per_pixel"]
-    sides = [_pixels(str(photographs.tile[row])) * float(metres[row]) for row in some]
+    sides = [tile_pixels(str(photographs.tile[row])) * float(metres[row]) for row in some]
     return min((side for side in sides if side > 0), default=DEFAULT_SIDE_M)
 
 
@@ -286,58 +347,6 @@ def _rows(photographs: Photographs, config: TableConfig, part: Part) -> NDArray[
         return photographs.part(part)
     rows = photographs.part("train")
     return rows[config.choose(part, len(rows))]
-
-
-def _check_rows(
-    photographs: Photographs, rows: NDArray[np.intp], aerial_map: "AerialMap | None"
-) -> None:
-    """Refuse rows that lack what a sample needs."""
-    has = photographs.has
-    in_tile = has("u", "v")
-    on_globe = has("lat", "lon")
-    tiled = np.array([tile is not None for tile in photographs.tile])
-    needs = (
-        ("heading_deg", has("heading_deg"), "degrees clockwise from north, of the image's centre"),
-        ("metres_per_pixel", has("metres_per_pixel") | ~tiled, "that of the row's tile"),
-        ("v", has("v") | ~has("u") | ~tiled, "a number from 0 to 1, beside u"),
-        ("u", in_tile | on_globe | ~tiled, "the camera's place in its tile, or lat, lon instead"),
-        (
-            "tile_lat",
-            in_tile | has("tile_lat", "tile_lon") | ~tiled,
-            "with tile_lon the centre of the tile, which lat and lon are held against",
-        ),
-        ("lat", on_globe | tiled, "with lon the camera's place, as the row has no tile"),
-        (
-            "tile",
-            tiled | (aerial_map is not None),
-            "an aerial tile, or a map for all such rows (--map, or map.tif beside the table)",
-        ),
-    )
-    for column, holds, expected in needs:
-        lacking = rows[~holds[rows]]
-        if len(lacking):
-            raise photographs.wrong(int(lacking[0]), column, expected)
-    if aerial_map is not None:
-        _check_places(photographs, rows[~tiled[rows]], aerial_map)
-
-
-def _check_places(
-    photographs: Photographs, rows: NDArray[np.intp], aerial_map: "AerialMap"
-) -> None:
-    """Refuse a map that shows none of the rows' places; single ones fail as they are cut."""
-    south, west, north, east = aerial_map.bounds()
-    lat, lon = (photographs.numbers[column][rows] for column in ("lat", "lon"))
-
-    def shown(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> NDArray[np.bool]:
-        return (south <= lat) & (lat <= north) & (west <= lon) & (lon <= east)
-
-    if len(rows) and not shown(lat, lon).any():
-        swapped = "; lat and lon are swapped: exchange them" if shown(lon, lat).any() else ""
-        expected = (
-            f"a place on the map {aerial_map.path}, which reaches from {south:.6f},{west:.6f} to "
-            f"{north:.6f},{east:.6f} (lat,lon) and shows none of the rows{swapped}"
-        )
-        raise photographs.wrong(int(rows[0]), "lat", expected)
 
 
 def _map_of(

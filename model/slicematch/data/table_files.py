@@ -44,8 +44,12 @@ class TableFile:
 
     def where(self, row: int) -> str:
         """What to call a row in a message, such as "photos.csv, line 7"."""
-        word = "line" if self.path.suffix.lower() == ".csv" else "row"
-        return f"{self.path}, {word} {self.numbers[row]}"
+        return f"{self.path}, {self.row_word} {self.numbers[row]}"
+
+    @property
+    def row_word(self) -> str:
+        """What a number of `numbers` counts: lines or rows."""
+        return "line" if self.path.suffix.lower() == ".csv" else "row"
 
 
 def find_table(path: str | Path) -> Path:

@@ -158,6 +158,8 @@ class VigorSource(Source):
 
     Attributes
     ----------
+    files : list of (Path, Path)
+        Each sample's panorama and tile.
     left_out : int
         Labels that were left out because abs(d0) or abs(d1) exceeds 320: the camera is off the
         tile.
@@ -187,7 +189,7 @@ class VigorSource(Source):
                 metres.append(METRES_PER_PIXEL[city] * TILE_PIXELS)
                 numbers.append(self.label_count - 1)
         chosen = config.choose(part, len(pairs))
-        self._files = [
+        self.files = [
             (root / city / "panorama" / panorama, root / city / "satellite" / aerial)
             for city, panorama, aerial in (pairs[k] for k in chosen)
         ]
@@ -202,7 +204,7 @@ class VigorSource(Source):
 
     def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
         """The images of a sample; see `Source.images`."""
-        panorama_file, aerial_file = self._files[index]
+        panorama_file, aerial_file = self.files[index]
         panorama = read_panorama(panorama_file)
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.

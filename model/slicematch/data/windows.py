@@ -1,5 +1,7 @@
 """Square windows of one size on the ground, cut out of aerial tiles of any size around a camera."""
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -9,6 +11,16 @@ from slicematch.data.errors import SampleError
 Metres = NDArray[np.float64]
 # How much of a window's side a tile may lack; the rest gets the tile's mean colour.
 MOST_MISSING = 0.1
+
+
+@functools.lru_cache(maxsize=100_000)
+def tile_pixels(path: str) -> int:
+    """The width of a tile in pixels, from the head of its file; 0 if it is unreadable."""
+    try:
+        with Image.open(path) as image:
+            return image.width
+    except (OSError, ValueError, Image.DecompressionBombError):
+        return 0
 
 
 def place_window(

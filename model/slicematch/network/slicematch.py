@@ -39,6 +39,9 @@ class SliceMatch(nn.Module):
         Whether the aerial attention sees the ground descriptors (eq. 3).
     bands : RangeBands, optional
         The bands of range that slices are cut into (ours); none in the paper.
+    pyramid : int, optional
+        Channels of a feature pyramid over the encoders' stages (ours); none in the paper: see
+        `slicematch.network.encoders.Encoder`.
 
     Attributes
     ----------
@@ -63,12 +66,13 @@ class SliceMatch(nn.Module):
         slices: int = 16,
         cross_view_attention: bool = True,
         bands: RangeBands | None = None,
+        pyramid: int | None = None,
     ) -> None:
         super().__init__()
         if slices < 1:
             raise ConfigError(f"slices is {slices}; it must be at least 1")
-        self.ground_encoder = Encoder(encoder, ground_size, stride, weights)
-        self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights)
+        self.ground_encoder = Encoder(encoder, ground_size, stride, weights, pyramid)
+        self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights, pyramid)
         self.channels = self.aerial_encoder.channels
         self.cells = self.aerial_encoder.feature_size[0]
         self.ground_aggregator: nn.Module

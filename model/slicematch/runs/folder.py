@@ -240,6 +240,7 @@ def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
         ground_size=config.ground_size or config.data_config().ground_size,
         aerial_size=config.aerial_size,
         stride=config.stride,
+        pyramid=config.pyramid,
         slices=config.slices,
         cross_view_attention=config.cross_view_attention,
         bands=_range_bands(config),

@@ -111,6 +111,7 @@ def test_pretrained_weights_are_named_with_their_tag(monkeypatch, tmp_path, name
     monkeypatch.setattr(
         "timm.models._builder.load_state_dict_from_hf", lambda *_, **__: load_file(file)
     )
+    monkeypatch.setattr("slicematch.network.encoders.is_hub_within_reach", lambda _: True)
     assert Encoder(name, (32, 32)).weights_source == source
 
 
@@ -178,6 +179,24 @@ def test_without_a_model_hub_it_says_what_to_do(tmp_path):
     assert "are not available from the model hub" in done.stdout
     assert "'none'" in done.stdout
     assert len(done.stdout.splitlines()) == 1
+
+
+def test_a_pyramid_brings_deep_stages_to_a_shallow_one():
+    encoder = Encoder("test_resnet", (64, 128), stride=8, weights="none", pyramid=24).eval()
+    assert (encoder.channels, encoder.feature_size) == (24, (8, 16))
+    images = torch.randn(1, 3, 64, 128, requires_grad=True)
+    features = encoder(images)
+    assert features.shape == (1, 24, 8, 16)
+    features[0, :, 0, 0].sum().backward()
+    # One stage of stride 8 sees a few cells; those of stride 32 and more see the whole image.
+    assert (images.grad[..., 32:, 64:] != 0).any()
+
+
+@pytest.mark.parametrize("name", ["swin_tiny_patch4_window7_224", "vgg16"])
+def test_a_pyramid_over_other_backbones(name):
+    encoder = Encoder(name, (64, 64), stride=16, weights="none", pyramid=8).eval()
+    with torch.no_grad():
+        assert encoder(torch.randn(1, 3, 64, 64)).shape == (1, 8, 4, 4)
 
 
 def test_ground_and_aerial_weights_are_not_shared():
