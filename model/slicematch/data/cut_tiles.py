@@ -186,7 +186,7 @@ def _columns(
     photographs: Photographs, rows: dict[int, dict[str, Any]], folder: Path
 ) -> dict[str, list[Any]]:
     """The old table's columns for the rows that have a tile, and those of their tiles."""
-    kept = {name: cells for name, cells in photographs.file.columns.items()}
+    kept = photographs.file.columns
     columns = {name: [kept[name][row] for row in rows] for name in kept if name not in _REPLACED}
     columns["ground"] = [os.path.relpath(photographs.ground[row], folder) for row in rows]
     for name in ("lat", "lon", *_REPLACED[:4]):

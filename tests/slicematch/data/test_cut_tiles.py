@@ -82,7 +82,7 @@ def test_repeated_it_keeps_what_is_there(table, mapped, tmp_path):
 
 def test_a_table_of_elsewhere_is_refused(mapped, tmp_path):
     (tmp_path / "t.csv").write_text("ground,lat,lon\na.jpg,48,2\n")
-    with pytest.raises(DatasetError, match="none of its rows has a tile in the map; first: .*48"):
+    with pytest.raises(DatasetError, match=r"none of its rows has a tile in the map; first: .*48"):
         cut_tiles(tmp_path / "t.csv", mapped.map, tmp_path / "cut")
 
 
