@@ -8,7 +8,12 @@ from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import as_json_option, given_options
 from slicemask.cli.output import print_result, progress_bar, status_line
 from slicemask.cli.places import Length, map_crs_option, map_option, map_options
-from slicemask.cli.run_options import check_model_installed, refine_option, run_options
+from slicemask.cli.run_options import (
+    check_model_installed,
+    dask_option,
+    refine_option,
+    run_options,
+)
 
 shared_option = click.option(
     "--share-tiles",
@@ -33,11 +38,7 @@ shared_option = click.option(
 @map_options
 @shared_option
 @refine_option
-@click.option(
-    "--dask",
-    metavar="WHERE",
-    help="Do it on Dask: local, a number of processes here, or tcp://scheduler:8786.",
-)
+@dask_option
 @click.option("--overwrite", is_flag=True, help="Replace answers that are there.")
 @as_json_option
 def locate(
