@@ -11,9 +11,9 @@ from PIL import Image
 
 from slicemask.errors import OutputError
 from slicemask.files import atomic_write, check_folder, write_text
-from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.errors import DatasetError, PlaceError, SampleError
 from slicematch.data.lattice import lattice_point, lattice_step
-from slicematch.data.maps import AerialMap, MapTile
+from slicematch.data.maps import AerialMap
 from slicematch.data.photographs import Photographs, read_photographs
 from slicematch.data.positions import read_fix
 from slicematch.data.table_files import write_table
@@ -126,13 +126,11 @@ def cut_tiles(
         try:
             lat, lon = _place(photographs, row)
             centre = lattice_point(lat, lon, step_m)
-            name = f"tiles/{centre[0]:.7f}_{centre[1]:.7f}.png"
-            # The edge of a tile that is there already is not looked at again.
-            if name not in padded and not (folder / name).is_file():
-                tile = opened.cut(*centre, side_m, pixels)
-                _write(tile, folder / name)
-                padded[name] = tile.padded > 0
-            padded.setdefault(name, False)
+            try:
+                name = _cut(opened, centre, side_m, pixels, folder, padded)
+            except PlaceError:  # on the map's edge a tile of its own may show more
+                centre = lat, lon
+                name = _cut(opened, centre, side_m, pixels, folder, padded)
         except (SampleError, ConfigError) as error:
             left_out.append({"row": photographs.file.where(row), "error": str(error)})
         else:
@@ -177,9 +175,26 @@ def _place(photographs: Photographs, row: int) -> tuple[float, float]:
     return fix.lat, fix.lon
 
 
-def _write(tile: MapTile, path: Path) -> None:
-    with atomic_write(path, OutputError) as partial:
+def _cut(
+    aerial_map: AerialMap,
+    centre: tuple[float, float],
+    side_m: float,
+    pixels: int,
+    folder: Path,
+    padded: dict[str, bool],
+) -> str:
+    """Cut a tile, unless it is there; its name, noted with whether it was padded."""
+    name = f"tiles/{centre[0]:.7f}_{centre[1]:.7f}.png"
+    if name in padded:
+        return name
+    if (folder / name).is_file():  # from before; its edge is not looked at again
+        padded[name] = False
+        return name
+    tile = aerial_map.cut(*centre, side_m, pixels)
+    with atomic_write(folder / name, OutputError) as partial:
         Image.fromarray(tile.image).save(partial, format="PNG")
+    padded[name] = tile.padded > 0
+    return name
 
 
 def _columns(

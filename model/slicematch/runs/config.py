@@ -153,7 +153,10 @@ class TrainConfig:
     accelerator : str
         As Lightning names them: "cpu", "cuda", ...; "auto" is CUDA where it is there, else the CPU.
     devices : int
-        How many of them; of the CPU at most as many as it has processors.
+        How many of them, on each node; of the CPU at most as many as it has processors.
+    num_nodes : int
+        Machines that train together. Each runs the same command, under torchrun, SLURM's srun, or
+        with Lightning's environment variables.
     projection : {"equirectangular", "pinhole"} or None
         Of the ground images; None for the data set's.
     prior_centre_deg : float or None
@@ -220,6 +223,7 @@ class TrainConfig:
     precision: Precision = "32-true"
     accelerator: str = "auto"
     devices: int = 1
+    num_nodes: int = 1
     projection: Projection | None = field(default=None, metadata=_KEPT)
     prior_centre_deg: float | None = field(default=None, metadata=_KEPT)
     ground_aspect: float | None = field(default=None, metadata=_KEPT)
@@ -232,7 +236,15 @@ class TrainConfig:
             object.__setattr__(self, setting.name, value)
         self._check("data", self.data in (*DATA_SETS, OWN), f"one of {', '.join(DATA_SETS)}")
         self._check("root", self.root != "" or self.data == OWN, "a folder or a table")
-        for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
+        for name in (
+            "stride",
+            "aerial_size",
+            "slices",
+            "batch_size",
+            "epochs",
+            "devices",
+            "num_nodes",
+        ):
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
