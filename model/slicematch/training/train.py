@@ -18,7 +18,7 @@ from slicemask.files import check_folder
 from slicemask.progress import TimedLines
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 from slicematch.data import OWN
-from slicematch.data.dataset import PoseDataset
+from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import calibrate
 from slicematch.localization.localizer import load_candidates
