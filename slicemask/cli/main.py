@@ -29,6 +29,7 @@ _COMMANDS = {
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
+    "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 

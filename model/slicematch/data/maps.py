@@ -43,6 +43,8 @@ class MapTile:
         On the ground.
     padded : float
         Share of its pixels where the map has no data, in [0, 1].
+    side_m : float
+        Its side on the ground.
     """
 
     image: NDArray[np.uint8]
@@ -50,11 +52,7 @@ class MapTile:
     lon: float
     metres_per_pixel: float
     padded: float
-
-    @property
-    def side_m(self) -> float:
-        """Its side on the ground, metres."""
-        return len(self.image) * self.metres_per_pixel
+    side_m: float
 
 
 class AerialMap:
@@ -159,7 +157,9 @@ class AerialMap:
                 image = np.repeat(image, 3, axis=2)
         if padded:
             image[~present] = image[present].mean(axis=0).round()
-        return MapTile(np.ascontiguousarray(image), lat, lon, side_m / pixels, padded)
+        return MapTile(
+            np.ascontiguousarray(image), lat, lon, side_m / pixels, padded, float(side_m)
+        )
 
     def to_map(
         self, lat: Sequence[float], lon: Sequence[float]
@@ -204,14 +204,19 @@ class AerialMap:
         lat, lon = self.to_globe(around_x.tolist(), around_y.tolist())
         return float(lat.min()), float(lon.min()), float(lat.max()), float(lon.max())
 
+    @property
+    def has_overviews(self) -> bool:
+        """Whether the file holds smaller copies of itself, so that large cuts are quick."""
+        return bool(self._dataset.overviews(self._bands[0]))
+
     def metres_per_pixel(self, lat: float, lon: float) -> float:
         """Side of the map's own pixels on the ground at a place, metres."""
         (x,), (y,) = self.to_map([lat], [lon])
         step = self._dataset.transform  # a, d: from a pixel to the next one in its row
         at_lat, at_lon = self.to_globe([x, x + step.a], [y, y + step.d])
-        from slicematch.localization.geodesy import distance_m
+        from slicematch.localization.geodesy import offset_m
 
-        return distance_m((at_lat[0], at_lon[0]), (at_lat[1], at_lon[1]))
+        return math.hypot(*offset_m((at_lat[0], at_lon[0]), (at_lat[1], at_lon[1])))
 
     def __repr__(self) -> str:
         dataset = self._dataset

@@ -59,17 +59,6 @@ def offset_position(
     return float(found_latitude), float(found_longitude)
 
 
-def distance_m(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """Metres between two places (latitude, longitude): the geodesic on WGS 84.
-
-    Examples
-    --------
-    >>> round(distance_m((52.0, 4.36), (52.001, 4.36)), 1)
-    111.3
-    """
-    return float(_WGS84.inv(one[1], one[0], other[1], other[0])[2])
-
-
 def offset_m(centre: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
     """East and north of a place from a centre, metres: the inverse of `offset_position`.
 
