@@ -239,7 +239,7 @@ def test_missing_files_are_samples_that_cannot_be_read(table, pairs, tmp_path):
     [
         ({"side_m": 0.0}, r"side_m is 0\.0; it must be above 0, in metres"),
         ({"shift_m": -1.0}, r"shift_m is -1\.0; it must be at least 0"),
-        ({"view": (10.0, -10.0, 20.0)}, "view is .*such as -35,35,20 degrees"),
+        ({"view": (10.0, -10.0, 5.0, 20.0)}, "view is .*such as -35,35,-20,20 degrees"),
         ({"split": "cross-area"}, "a table tells its parts by its column split"),
     ],
 )
@@ -374,7 +374,9 @@ def test_pinhole_images_keep_their_heading_and_principal_point(pinhole, sample_v
     config = pinhole({"front": FRONT}, aerial_size=80)
     assert config.projection == "pinhole"
     left, right = (math.degrees(math.atan(x / 160.0)) for x in (-180.0, 140.0))
-    assert config.view == pytest.approx((left, right, math.degrees(math.atan(50.0 / 160.0))))
+    low, high = (math.degrees(math.atan(y / 160.0)) for y in (-70.0, 50.0))
+    assert config.view == pytest.approx((left, right, low, high))
+    assert config.ground_aspect == pytest.approx(320 / 120)
     assert config.hfov_deg == pytest.approx(right - left)
     dataset = PoseDataset(config, "train")
     for index in range(len(dataset)):
@@ -395,7 +397,9 @@ def test_other_cameras_are_cropped_to_the_run_s_view(pinhole):
     config = pinhole({"front": FRONT, "cropped": CROPPED}, view=config.view)
     for a, b in zip(dataset, PoseDataset(config, "train"), strict=True):
         assert float((a["ground"] - b["ground"]).abs().mean()) < 0.06
-    wide = PoseDataset(pinhole({"cropped": CROPPED, "front": FRONT}, view=(-45, 40, 15)), "test")
+    wide = PoseDataset(
+        pinhole({"cropped": CROPPED, "front": FRONT}, view=(-45, 40, -15, 15)), "test"
+    )
     with pytest.raises(SampleError, match="does not show the run's view, -45 to 40 degrees acro"):
         wide[0]
     assert wide[1] is not None
