@@ -26,7 +26,7 @@ def test_every_setting_is_an_option_and_every_option_a_setting():
     assert set(OPTIONS) == shared | own
     assert own == {
         *("labels", "cities", "split_dir"),
-        *("side_m", "shift_m", "map", "map_crs"),
+        *("side_m", "view", "shift_m", "map", "map_crs"),
     }
 
 

@@ -24,7 +24,7 @@ from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.table_cameras import table_cameras
 from slicematch.data.table_checks import check_rows
 from slicematch.data.table_files import find_table
-from slicematch.data.views import View, camera_view, cut_view
+from slicematch.data.views import WHOLE_SPHERE, View, camera_view, cut_view
 from slicematch.data.windows import Metres, cut_window, place_window, tile_pixels
 
 if TYPE_CHECKING:
@@ -61,10 +61,10 @@ class TableConfig(DataConfig):
     side_m : float or None
         Side of the aerial tiles on the ground, in metres, as the model sees them; None for that of
         the table's smallest tile, or, where it has a map alone, 70.
-    view : (left, right, highest) or None
+    view : (left, right, lowest, highest) or None
         The part of images that is used, in degrees: azimuths of the left and the right edge from
-        the heading (of a pinhole camera from the optical axis), and the elevation of the upper
-        edge, with as much below the horizon; None for all that the camera of most rows shows.
+        the heading (of a pinhole camera from the optical axis), and elevations of the lower and the
+        upper edge; None for all that the camera of most rows shows.
     shift_m : float or None
         How far the camera may stand off the centre of a tile that is cut, in metres to the east and
         to the north; None for a quarter of the side.
@@ -90,7 +90,7 @@ class TableConfig(DataConfig):
 
     ground_size: tuple[int, int] = (320, 640)
     side_m: float | None = None
-    view: tuple[float, float, float] | None = None
+    view: tuple[float, float, float, float] | None = None
     shift_m: float | None = None
     map: str | None = None
     map_crs: str | None = None
@@ -104,11 +104,11 @@ class TableConfig(DataConfig):
             )
         if self.view is not None:
             object.__setattr__(self, "view", tuple(self.view))
-            left, right, highest = self.view
-            if not (left < right <= left + 360.0 and 0.0 < highest <= 90.0):
+            left, right, lowest, highest = self.view
+            if not (left < right <= left + 360.0 and -90.0 <= lowest < highest <= 90.0):
                 raise DatasetError(
                     f"view is {self.view}; it must be the azimuths of the left and of the right "
-                    "edge and the highest elevation, such as -35,35,20 degrees"
+                    "edge, and the lowest and highest elevation, such as -35,35,-20,20 degrees"
                 )
         for name, least in (("side_m", "above 0"), ("shift_m", "at least 0")):
             value = getattr(self, name)
@@ -130,7 +130,9 @@ class TableConfig(DataConfig):
             "view": tuple(view),
             "projection": camera.projection,
             "hfov_deg": view.hfov_deg,
-            "ground_aspect": view.aspect(camera),
+            "left_deg": _left_deg(view),
+            "ground_aspect": view.aspect(camera.projection),
+            "horizon": view.horizon(camera.projection),
         }
         for name, value in facts.items():
             object.__setattr__(self, name, value)
@@ -192,8 +194,9 @@ class TableSource(Source):
 
     def __init__(self, config: TableConfig, part: Part) -> None:
         self.config = config
-        self.view = View(*config.view) if config.view is not None else View(-180.0, 180.0, 90.0)
-        self.hfov_deg = self.view.hfov_deg
+        self.view = WHOLE_SPHERE if config.view is None else View(*config.view)
+        self.hfov_deg, self.left_deg = self.view.hfov_deg, _left_deg(self.view)
+        self.horizon = self.view.horizon(config.projection)
         self.photographs = photographs = config.photographs()
         self.side_m = config.side_m or DEFAULT_SIDE_M
         self._rows = _rows(photographs, config, part)
@@ -314,6 +317,11 @@ class TableSource(Source):
     def _place(self, row: int, lat: str, lon: str) -> tuple[float, float]:
         numbers = self.photographs.numbers
         return float(numbers[lat][row]), float(numbers[lon][row])
+
+
+def _left_deg(view: View) -> float | None:
+    """The left edge of a view, or None if it is half the field of view off the heading."""
+    return None if view.left_deg == -view.right_deg else view.left_deg
 
 
 def _offset(centre: tuple[float, float], place: tuple[float, float]) -> Metres:

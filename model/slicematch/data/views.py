@@ -6,6 +6,7 @@ from typing import NamedTuple
 from PIL import Image
 
 from slicemask.errors import ImageError
+from slicemask.geometry.frustum import Projection
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
 
@@ -14,19 +15,20 @@ _TOLERANCE = 0.01
 
 
 class View(NamedTuple):
-    """What ground images show: the horizon is at half their height.
+    """What ground images show.
 
     Attributes
     ----------
     left_deg, right_deg : float
         Azimuths of the left and the right edge from the heading, clockwise; of a pinhole camera
         from the optical axis.
-    highest_deg : float
-        Elevation of the upper edge, and below the horizon of the lower one.
+    lowest_deg, highest_deg : float
+        Elevations of the lower and the upper edge, of a pinhole image where its optical axis is.
     """
 
     left_deg: float
     right_deg: float
+    lowest_deg: float
     highest_deg: float
 
     @property
@@ -34,15 +36,26 @@ class View(NamedTuple):
         """Horizontal field of view."""
         return self.right_deg - self.left_deg
 
-    def aspect(self, camera: Camera) -> float:
-        """Width over height of its images, as `slicematch.data.elevations` reckons them."""
-        if camera.projection == "equirectangular":
-            return self.hfov_deg / (2.0 * self.highest_deg)
-        return _tan(self.hfov_deg / 2.0) / _tan(self.highest_deg)
+    def aspect(self, projection: Projection) -> float:
+        """Width over height of its images, whose pixels are square."""
+        if projection == "equirectangular":
+            return self.hfov_deg / (self.highest_deg - self.lowest_deg)
+        left, right, lowest, highest = map(_tan, self)
+        return (right - left) / (highest - lowest)
+
+    def horizon(self, projection: Projection) -> float:
+        """Where the horizon is, from the top, as a fraction of the height."""
+        if projection == "equirectangular":
+            return self.highest_deg / (self.highest_deg - self.lowest_deg)
+        lowest, highest = _tan(self.lowest_deg), _tan(self.highest_deg)
+        return highest / (highest - lowest)
+
+
+WHOLE_SPHERE = View(-180.0, 180.0, -90.0, 90.0)
 
 
 def camera_view(camera: Camera, name: str) -> View:
-    """All that a camera shows at equal heights above and below the horizon.
+    """All that a camera shows.
 
     Parameters
     ----------
@@ -54,33 +67,30 @@ def camera_view(camera: Camera, name: str) -> View:
     Raises
     ------
     DatasetError
-        If the size of a part of a panorama is not known, or the horizon is not in the image.
+        If the size of a part of a panorama is not known.
 
     Examples
     --------
-    >>> front = Camera(projection="pinhole", fx=100.0, cx=100.0, cy=80.0, width=200, height=180)
-    >>> View(-45.0, 45.0, math.degrees(math.atan(0.8))) == camera_view(front, "front")
-    True
+    >>> front = Camera(projection="pinhole", fx=50.0, cx=50.0, cy=50.0, width=100, height=100)
+    >>> camera_view(front, "front")
+    View(left_deg=-45.0, right_deg=45.0, lowest_deg=-45.0, highest_deg=45.0)
     """
     if camera.projection == "equirectangular":
         half = float(camera.hfov_deg or 360.0) / 2.0
         if half == 180.0:
-            return View(-180.0, 180.0, 90.0)
+            return WHOLE_SPHERE
         if camera.width is None or camera.height is None:
             raise DatasetError(
                 f"camera {name}: is a part of a panorama; its width and height in pixels are "
                 "needed, which tell the elevations that it shows"
             )
-        return View(-half, half, half * camera.height / camera.width)
+        highest = half * camera.height / camera.width
+        return View(-half, half, -highest, highest)
     frustum = camera.frustum(1)
     left_deg, right_deg = frustum.edge_offsets_deg().tolist()
     height, fy, cy = (float(value or 0.0) for value in (camera.height, camera.fy, camera.cy))
-    reach = min(cy, height - cy)
-    if reach <= 0.0:
-        raise DatasetError(
-            f"camera {name}: cy is {cy:g} of {height:g} pixels; the horizon must be in the image"
-        )
-    return View(left_deg, right_deg, math.degrees(math.atan(reach / fy)))
+    lowest_deg, highest_deg = (math.degrees(math.atan(up / fy)) for up in (cy - height, cy))
+    return View(left_deg, right_deg, lowest_deg, highest_deg)
 
 
 def cut_view(
@@ -118,7 +128,7 @@ def cut_view(
     ImageError
         If the image does not show all of the view.
     """
-    low, high = elevations or (-view.highest_deg, view.highest_deg)
+    low, high = elevations or view[2:]
     across = image.width / float(camera.width or image.width)
     down = image.height / float(camera.height or image.height)
     if camera.projection == "equirectangular":
