@@ -69,7 +69,8 @@ class Locating:
             on_map = self.localizer()
             place = PlaceOnGlobe(lat, lon, self.priors.distance_m(photo, on_map.side_m))
             row["prior_within_m"] = place.within_m
-            found = on_map.localize(photo.ground, place, self.priors.heading(photo))
+            ground = photo.image(on_map.localizer.config)
+            found = on_map.localize(ground, place, self.priors.heading(photo))
         except (ImageError, SampleError, ConfigError) as error:
             raise_lack_of_resources(error)
             return row | {"error": str(error)}
