@@ -1,6 +1,7 @@
 """Which pictures of a tutorial's block the site shows: figures and images that it leaves in a name.
 
-slicemask draws figures that are bound to no window, which sphinx-gallery's own scraper does not see.
+slicemask draws figures that are bound to no window, which sphinx-gallery's own scraper does not
+see.
 """
 
 from typing import Any

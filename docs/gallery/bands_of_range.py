@@ -2,8 +2,9 @@
 Bands of range
 ==============
 
-Slices may be cut by distance from the camera, in shares of the tile's side. The bands of a slice sum
-to the slice. With a pinhole camera, bands are cut by depth instead, and meet at straight lines.
+Slices may be cut by distance from the camera, in shares of the tile's side. The bands of a slice
+sum to the slice. With a pinhole camera, bands are cut by depth instead, and meet at straight
+lines.
 """
 
 from slicemask import Frustum, slice_masks

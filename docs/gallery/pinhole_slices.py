@@ -7,6 +7,7 @@ field of view, the outer slices are narrower. Here in two halves, an equirectang
 pinhole image of 120 degrees each.
 """
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from slicemask import Frustum, slice_masks
@@ -18,5 +19,5 @@ for axes, projection in zip(figure.subplots(1, 2), ("equirectangular", "pinhole"
     frustum = Frustum(hfov_deg=120, slices=8, projection=projection)
     masks = slice_masks([pose], frustum, cells=32)[0]
     draw_slices(axes, masks, pose, frustum)
-    widths = [f"{width:.1f}" for width in (frustum.edge_offsets_deg()[1:5] - frustum.edge_offsets_deg()[:4])]
-    axes.set_title(f"{projection}: {', '.join(widths)}° …", fontsize=10)
+    widths = ", ".join(f"{width:.1f}" for width in np.diff(frustum.edge_offsets_deg())[:4])
+    axes.set_title(f"{projection}: {widths}° …", fontsize=10)

@@ -2,8 +2,8 @@
 Axes of your own
 ================
 
-``draw_slices`` draws on any Matplotlib axes, so that a picture can hold what a paper needs: here four
-cameras that drive along a street and turn.
+``draw_slices`` draws on any Matplotlib axes, so that a picture can hold what a paper needs: here
+four cameras that drive along a street and turn.
 """
 
 from matplotlib.figure import Figure

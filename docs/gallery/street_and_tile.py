@@ -21,7 +21,8 @@ city = generate_vigor(
 )
 labels = city.path / "splits__corrected" / "NewYork" / "pano_label_balanced__corrected.txt"
 panorama, tile, d0, d1, *_ = labels.read_text().splitlines()[0].split(" ")
-pose = (0.5 - float(d1) / 640, 0.5 + float(d0) / 640, 0.0)  # the format's: north at the centre column
+# Offsets are in pixels of 640; north is at the centre column.
+pose = (0.5 - float(d1) / 640, 0.5 + float(d0) / 640, 0.0)
 
 frustum = Frustum(hfov_deg=360, slices=16)
 figure = Figure(figsize=(11.5, 4.4), facecolor="white", layout="constrained")

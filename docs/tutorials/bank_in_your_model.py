@@ -153,8 +153,8 @@ print("nearest one in the grid:", errors(poses[nearest(truths)], truths))
 # Off the grid
 # ------------
 #
-# ``slice_masks`` has gradients in u, v and heading, so that a pose can be a parameter. From the best
-# candidate, a few steps up the score:
+# ``slice_masks`` has gradients in u, v and heading, so that a pose can be a parameter. From the
+# best candidate, a few steps up the score:
 
 
 def score_at(poses, views, images):
@@ -181,8 +181,8 @@ print("refined:               ", errors(moved.detach(), truths))
 # Where to go from here
 # ---------------------
 #
-# - SliceMatch itself, with encoders, attention and its loss, is ``slicematch.SliceMatch``; it scores
-#   ``slicematch.Candidates``, which are made from a bank, and is faster than the plain product above
-#   (:doc:`/scoring`).
+# - SliceMatch itself, with encoders, attention and its loss, is ``slicematch.SliceMatch``; it
+#   scores ``slicematch.Candidates``, which are made from a bank, and is faster than the plain
+#   product above (:doc:`/scoring`).
 # - Slices may be cut into bands of range: ``Frustum(..., bands=(0.1, 0.3))`` (:doc:`/conventions`).
 # - The file itself is documented, and is read with h5py alone: :doc:`/bank-format`.

@@ -112,13 +112,14 @@ print(evaluation.report())
 #   street, or turned by a half or a quarter, and these make the mean. Report both.
 # - **The oracle** is the error that would remain if the nearest candidate were always chosen. An
 #   answer on the grid cannot be better than that. This one may be, because it is refined
-#   (``refine="mean"``, the default); figures of the paper are to be compared with ``refine="none"``.
+#   (``refine="mean"``, the default); figures of the paper are to be compared with
+#   ``refine="none"``.
 # - **Lateral and longitudinal** are across and along the true heading: not north and east.
 # - **Recalls** count errors strictly below the threshold.
-# - **Calibration** says what the probabilities are worth: of answers that promise 70 %, 70 % should
-#   be within reach (a tenth of the tile's side and 30 degrees). Training fitted their temperature to
-#   the best checkpoint, hence the remark; ``slicemask calibrate RUN --checkpoint last`` fits it to
-#   this one.
+# - **Calibration** says what the probabilities are worth: of answers that promise 70 %, 70 %
+#   should be within reach (a tenth of the tile's side and 30 degrees). Training fitted their
+#   temperature to the best checkpoint, hence the remark; ``slicemask calibrate RUN --checkpoint
+#   last`` fits it to this one.
 #
 # These are errors in the city that it was trained in. What an unseen city costs is on
 # :doc:`/results`.

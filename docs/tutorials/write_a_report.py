@@ -30,9 +30,9 @@ print(f"{result['samples']} samples, {len(result['unreadable'])} unreadable")
 # A table with standard errors
 # ----------------------------
 #
-# A median of 80 samples is uncertain, and a table should say by how much: resample the samples many
-# times and take the spread (bootstrap). Two methods on the *same* samples are compared better by the
-# differences of each sample's errors, which vary less.
+# A median of 80 samples is uncertain, and a table should say by how much: resample the samples
+# many times and take the spread (bootstrap). Two methods on the *same* samples are compared
+# better by the differences of each sample's errors, which vary less.
 
 random = np.random.default_rng(0)
 draws = random.integers(len(samples["error_place_m"]), size=(2000, len(samples["error_place_m"])))
@@ -59,8 +59,8 @@ for name, values in (
 # How many answers are how good
 # -----------------------------
 #
-# Curves say more than any recall: the share of samples below each error. The oracle's mean, the best
-# that the candidates allow, is a line to compare with.
+# Curves say more than any recall: the share of samples below each error. The oracle's mean, the
+# best that the candidates allow, is a line to compare with.
 
 from matplotlib.figure import Figure
 
