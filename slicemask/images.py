@@ -77,12 +77,12 @@ def read_aerial(source: Picture) -> Image.Image:
     Parameters
     ----------
     source : path, PIL image or array [S, S, 3]
-        A file or an array: 8 or 16 bits a channel, grey or colour, with or without alpha.
+        As `read_image` takes it.
 
     Returns
     -------
     PIL.Image.Image
-        Mode RGB, as wide as high to 2 percent.
+        Mode RGB, as wide as high within `ASPECT_TOLERANCE`.
 
     Raises
     ------

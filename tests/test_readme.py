@@ -220,6 +220,37 @@ def test_every_name_that_a_page_imports_exists(page):
                 assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
 
 
+def _leads_somewhere(name):
+    """Whether a dotted name is a module, or something that is inside one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            if not hasattr(found, part):
+                return False
+            found = getattr(found, part)
+        return True
+    return False
+
+
+def test_every_dotted_name_of_ours_leads_somewhere():
+    pytest.importorskip("torch")
+    pytest.importorskip("trimesh")
+    sources = [*(ROOT / "slicemask").rglob("*.py"), *(ROOT / "model").rglob("*.py")]
+    named = {
+        (name, page.name)
+        for page in [*PAGES, *SCRIPTS, *sources, *(DOCS / "reference").glob("*.rst")]
+        for name in re.findall(r"`~?(slice(?:mask|match)(?:\.\w+)+)", page.read_text())
+    }
+    assert len(named) > 30
+    # Files are named alike.
+    named = {(name, page) for name, page in named if not name.endswith((".h5", ".py"))}
+    assert [pair for pair in sorted(named) if not _leads_somewhere(pair[0])] == []
+
+
 @pytest.mark.parametrize("package", ["slicemask", "slicematch"])
 def test_every_public_name_stands_in_the_reference(package):
     listed = set((DOCS / "reference" / f"{package}.rst").read_text().split())

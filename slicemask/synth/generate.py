@@ -66,7 +66,7 @@ def generate_vigor(
     """Generate cities in VIGOR's on-disk format.
 
     Complete images are kept, so that a call that was cut short goes on when it is repeated. The
-    result depends on nothing but the arguments; ``jobs`` changes no byte.
+    result depends on nothing but the arguments; `jobs` changes no byte.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ def generate_vigor(
     Raises
     ------
     SynthError
-        If an argument is out of its range, or ``out`` holds something else or cannot be written.
+        If an argument is out of its range, or `out` holds something else or cannot be written.
     SpecError
-        If ``jobs`` is less than 1.
+        If `jobs` is less than 1.
     """
     if not 1 <= cities <= len(vigor.CITIES):
         raise SynthError(f"cities is {cities}; VIGOR has 1 to {len(vigor.CITIES)}")
@@ -162,9 +162,9 @@ def generate_kitti(
     Raises
     ------
     SynthError
-        If an argument is out of its range, or ``out`` holds something else or cannot be written.
+        If an argument is out of its range, or `out` holds something else or cannot be written.
     SpecError
-        If ``jobs`` is less than 1.
+        If `jobs` is less than 1.
     """
     _check_at_least("frames", frames, 3)
     _check_at_least("seed", seed, 0)

@@ -27,7 +27,7 @@ def config_class(name: str) -> type[DataConfig]:
     Returns
     -------
     type
-        A subclass of `slicematch.data.source.DataConfig`.
+        A subclass of `DataConfig`.
 
     Raises
     ------

@@ -34,7 +34,7 @@ DEFAULT_HFOV_DEG = 81.5
 
 @dataclass(frozen=True, kw_only=True)
 class KittiConfig(DataConfig):
-    """Settings of a KITTI data set, beside those of every data set.
+    """Settings of a KITTI data set: those of `DataConfig` and the following.
 
     The sizes and grids are the paper's (SliceMatch, CVPR 2023, section 4.2). A heading prior is
     centred on east, where the car drives before the aerial tile is turned: a half width of 10 is

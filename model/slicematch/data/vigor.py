@@ -34,7 +34,7 @@ PANORAMA_COLUMNS = 2048
 
 @dataclass(frozen=True, kw_only=True)
 class VigorConfig(DataConfig):
-    """Settings of a VIGOR data set, beside those of every data set.
+    """Settings of a VIGOR data set: those of `DataConfig` and the following.
 
     The defaults are the paper's (SliceMatch, CVPR 2023, section 4.2). A heading prior is centred on
     north. Same-area trains and tests in every city, cross-area trains in NewYork and Seattle and

@@ -24,7 +24,7 @@ from slicematch.scoring.plan import (
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate poses and their slice masks, on one device; made by `Candidates.from_bank`.
+    """Candidate poses and their slice masks, on one device; made by `from_bank`.
 
     Attributes
     ----------
