@@ -32,8 +32,8 @@ exclude_patterns = ["README.rst", "tutorials", "gallery", "**/GALLERY_HEADER.rst
 templates_path = ["_templates"]
 # A link that leads nowhere is a warning, and a warning ends the build.
 nitpicky = True
-# In docstrings, single backticks are links where the reference documents the name, and code where it
-# does not: parameters, attributes, inner modules. tests/test_readme.py holds our dotted ones.
+# In docstrings, single backticks are links where the reference documents the name, and code where
+# it does not: parameters, attributes, inner modules. tests/test_readme.py holds our dotted ones.
 default_role = "py:obj"
 nitpick_ignore_regex = [("py:obj", ".*")]
 highlight_language = "none"
