@@ -1,22 +1,21 @@
 """Settings of the documentation's site, which `make docs` builds into build/docs."""
 
-import os
 import sys
+import warnings
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # where pictures.py is
+import slicematch
 
-# Before the tutorials import timm or Lightning: see slicematch/_torchvision.py.
-os.environ.setdefault("MPLBACKEND", "agg")
-import slicematch._torchvision  # noqa: E402, F401
+import slicemask
 
-from slicemask import __version__  # noqa: E402
+sys.path.insert(0, str(Path(__file__).parent))  # where pictures.py is
+# torch says at length that its CSR tensors are in beta.
+warnings.filterwarnings("ignore", message="Sparse")
 
 project = "slicemask"
 author = "slicemask developers"
 copyright = "slicemask developers, Apache-2.0"  # noqa: A001
-release = version = __version__
+release = version = slicemask.__version__
 
 extensions = [
     "myst_parser",
@@ -37,6 +36,7 @@ nitpicky = True
 default_role = "py:obj"
 nitpick_ignore_regex = [("py:obj", ".*")]
 highlight_language = "none"
+smartquotes = False  # quotes in docstrings are Python's
 
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
@@ -45,6 +45,15 @@ autosummary_generate = True
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # types, shapes and units stand in the docstrings
 numpydoc_show_class_members = False
+# Of the types in docstrings, which are prose, our own public names are links.
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore = "all"
+numpydoc_xref_aliases = {
+    name: f"{package.__name__}.{name}"
+    for package in (slicemask, slicematch)
+    for name in package.__all__
+    if not name.startswith("_")
+}
 
 sphinx_gallery_conf = {
     "examples_dirs": ["tutorials", "gallery"],
