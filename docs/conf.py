@@ -34,7 +34,10 @@ nitpicky = True
 # In docstrings, single backticks are links where the reference documents the name, and code where
 # it does not: parameters, attributes, inner modules. tests/test_readme.py holds our dotted ones.
 default_role = "py:obj"
-nitpick_ignore_regex = [("py:obj", ".*")]
+nitpick_ignore_regex = [
+    ("py:obj", ".*"),
+    (".*", "python:.*"),  # types of Python's own, whose documentation is elsewhere
+]
 highlight_language = "none"
 smartquotes = False  # quotes in docstrings are Python's
 
