@@ -4,9 +4,12 @@ import sys
 import warnings
 from pathlib import Path
 
+import numpydoc.xref
 import slicematch
+import slicematch.errors
 
 import slicemask
+import slicemask.errors
 
 sys.path.insert(0, str(Path(__file__).parent))  # where pictures.py is
 # torch says at length that its CSR tensors are in beta.
@@ -34,10 +37,7 @@ nitpicky = True
 # In docstrings, single backticks are links where the reference documents the name, and code where
 # it does not: parameters, attributes, inner modules. tests/test_readme.py holds our dotted ones.
 default_role = "py:obj"
-nitpick_ignore_regex = [
-    ("py:obj", ".*"),
-    (".*", "python:.*"),  # types of Python's own, whose documentation is elsewhere
-]
+nitpick_ignore_regex = [("py:obj", ".*")]
 highlight_language = "none"
 smartquotes = False  # quotes in docstrings are Python's
 
@@ -48,14 +48,16 @@ autosummary_generate = True
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # types, shapes and units stand in the docstrings
 numpydoc_show_class_members = False
-# Of the types in docstrings, which are prose, our own public names are links.
+# Of the types in docstrings, which are prose, our own names are links, and those of Python and NumPy
+# are not: where these lead is to be looked up in the network.
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"
+numpydoc.xref.DEFAULT_LINKS.clear()
 numpydoc_xref_aliases = {
-    name: f"{package.__name__}.{name}"
-    for package in (slicemask, slicematch)
-    for name in package.__all__
-    if not name.startswith("_")
+    name: f"{module.__name__}.{name}"
+    for module in (slicemask.errors, slicematch.errors, slicemask, slicematch)
+    for name in getattr(module, "__all__", vars(module))
+    if name[0].isupper()
 }
 
 sphinx_gallery_conf = {
