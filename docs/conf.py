@@ -48,8 +48,8 @@ autosummary_generate = True
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # types, shapes and units stand in the docstrings
 numpydoc_show_class_members = False
-# Of the types in docstrings, which are prose, our own names are links, and those of Python and NumPy
-# are not: where these lead is to be looked up in the network.
+# Of the types in docstrings, which are prose, our own names are links. Those of Python and NumPy
+# are not: where they lead is looked up in the network, and the site is built without one.
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"
 numpydoc.xref.DEFAULT_LINKS.clear()
