@@ -13,28 +13,25 @@ from sphinx_gallery.scrapers import figure_rst
 _DOTS_PER_INCH = 110
 
 
-class _Scraper:
-    """Saves what a block has newly assigned, in the order of the names."""
-
-    def __init__(self) -> None:
-        self._seen: list[Any] = []  # kept alive, so that no other object can have its id
-
-    def __call__(self, block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
-        paths = block_vars["image_path_iterator"]
-        found = []
-        for value in block_vars["example_globals"].values():
-            known = any(value is seen for seen in self._seen)
-            if not isinstance(value, Figure | Image.Image) or known:
-                continue
-            self._seen.append(value)
-            path = next(paths)
-            if isinstance(value, Figure):
-                value.savefig(path, dpi=_DOTS_PER_INCH)
-            else:
-                value.save(path)
-            found.append(path)
-        return str(figure_rst(found, gallery_conf["src_dir"]))
+# Pictures that have been shown: kept alive, so that no other object can have the id of one.
+_shown: list[Any] = []
 
 
-def _get_sg_image_scraper() -> _Scraper:
-    return _Scraper()
+def _show_new(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Save what a block has newly assigned to a name, in the order of the names."""
+    paths = []
+    for value in block_vars["example_globals"].values():
+        shown_before = any(value is shown for shown in _shown)
+        if not isinstance(value, Figure | Image.Image) or shown_before:
+            continue
+        _shown.append(value)
+        paths.append(next(block_vars["image_path_iterator"]))
+        if isinstance(value, Figure):
+            value.savefig(paths[-1], dpi=_DOTS_PER_INCH)
+        else:
+            value.save(paths[-1])
+    return str(figure_rst(paths, gallery_conf["src_dir"]))
+
+
+def _get_sg_image_scraper() -> Any:
+    return _show_new

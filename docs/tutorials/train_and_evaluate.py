@@ -74,7 +74,7 @@ from slicematch import train
 run = Path("runs/tutorial")
 shutil.rmtree(run, ignore_errors=True)  # from an earlier build of this page
 train(config, run, progress=False)
-print(*sorted(path.relative_to(run).as_posix() for path in run.rglob("*.*")), sep="\n")
+print(*sorted(path.name for path in run.iterdir()))
 
 # %%
 # Of each epoch, ``metrics.jsonl`` holds the loss and the errors on the validation part: a tenth of
