@@ -70,7 +70,6 @@ sphinx_gallery_conf = {
     "capture_repr": (),
     "abort_on_example_error": True,
     "doc_module": ("slicemask", "slicematch"),
-    "reference_url": {"slicemask": None, "slicematch": None},
     "download_all_examples": False,
     "write_computation_times": False,
     "show_memory": False,
