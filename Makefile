@@ -39,7 +39,7 @@ $(VENV)/.test: $(VENV)/.core
 # torch is asked for by its exact version alone, so that the pinned build is the one taken.
 $(VENV)/.full: $(VENV)/.core
 	$(PIP) "$$(grep '^torch==' constraints.txt)"
-	$(PIP) -e '.[model,synth,test,lint,bench]'
+	$(PIP) -e '.[model,weights,synth,test,lint,bench]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.full
@@ -93,7 +93,7 @@ bench: $(VENV)/.full
 # What only builds of torch with CUDA need is left out: other builds do without.
 constraints:
 	$(PYTHON) -m venv --clear build/newest
-	build/newest/bin/python -m pip install --quiet -e '.[model,synth,test,docs,lint,bench]'
+	build/newest/bin/python -m pip install --quiet -e '.[model,weights,synth,test,docs,lint,bench]'
 	build/newest/bin/python -m pip freeze --exclude-editable > build/newest.txt
 	(head -n 1 constraints.txt && sed 's/+[a-z0-9.]*$$//' build/newest.txt \
 		| grep -v -e '^nvidia' -e '^cuda') > build/constraints.txt

@@ -78,6 +78,11 @@ class TrainConfig:
         What both encoders start from: "imagenet", "none", or a file.
     stride : int
         Stride of the feature maps, in pixels.
+    pyramid : int or None
+        Channels of a feature pyramid over the encoder's stages of this stride and deeper (ours);
+        None for the features of that stage alone.
+    pyramid_to : int
+        Stride of the deepest stage that the pyramid takes.
     ground_size : (height, width) or None
         Pixels of the ground images; None for the paper's.
     aerial_size : int
@@ -184,6 +189,8 @@ class TrainConfig:
     encoder: str = "vgg16"
     weights: str = "imagenet"
     stride: int = 16
+    pyramid: int | None = None
+    pyramid_to: int = 32
     ground_size: tuple[int, int] | None = None
     aerial_size: int = 512
     image_mean: Triple | None = field(default=None, metadata=_KEPT)
@@ -230,6 +237,12 @@ class TrainConfig:
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
+        self._check("pyramid", self.pyramid is None or self.pyramid >= 1, "None or at least 1")
+        self._check(
+            "pyramid_to",
+            self.pyramid is None or self.pyramid_to >= self.stride,
+            f"at least the stride, {self.stride}",
+        )
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate"):
