@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,24 @@ _COEFFICIENTS = {
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
 _INTRINSICS = ("fx", "fy", "cx", "cy")
+
+
+class CameraView(NamedTuple):
+    """What a pinhole camera shows, whatever its images' size.
+
+    Attributes
+    ----------
+    hfov_deg : float
+        Horizontal field of view.
+    left_deg : float or None
+        Azimuth of the image's left edge from the optical axis; None for an axis in the centre.
+    horizon : float
+        Where the optical axis is, from the image's top, as a fraction of its height.
+    """
+
+    hfov_deg: float
+    left_deg: float | None = None
+    horizon: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +170,22 @@ class Camera:
         return Frustum.from_intrinsics(fx, cx, width, slices, bands)
 
     @property
+    def view(self) -> CameraView:
+        """What undistorted images show, of a pinhole camera."""
+        frustum = self.frustum(1)
+        horizon = 0.5
+        if self.cy is not None and self.height is not None:
+            horizon = self.cy / self.height
+        return CameraView(frustum.hfov_deg, frustum.left_deg, horizon)
+
+    @property
+    def aspect(self) -> float:
+        """Width over height of undistorted images; 2 of an equirectangular camera's."""
+        if self.width is None or self.height is None:
+            return 2.0
+        return self.width / self.height * float(self.fy or 1.0) / float(self.fx or 1.0)
+
+    @property
     def distorted(self) -> bool:
         """Whether images have a distortion to undo."""
         fisheye = self.model == "OPENCV_FISHEYE" and self.projection == "pinhole"
@@ -170,8 +204,9 @@ class Camera:
         Returns
         -------
         PIL.Image.Image
-            Of the same size and intrinsic parameters; black where the camera saw nothing. The
-            image itself where there is nothing to undo.
+            Of the same width, with the same fx and principal point in proportion, and square
+            pixels; black where the camera saw nothing. The image itself where there is nothing to
+            undo.
 
         Raises
         ------
@@ -186,11 +221,16 @@ class Camera:
                     f"{name}: {image.width}x{image.height} pixels; its camera's images are "
                     f"{self.width}x{self.height}, or scaled: name its own camera"
                 )
-        if not self.distorted:
+        if self.distorted:
+            cv2 = _opencv(name)
+            columns, rows = _undistortion(self, *image.size)
+            pixels = cv2.remap(np.asarray(image), columns, rows, cv2.INTER_LINEAR)
+            image = Image.fromarray(pixels)
+        stretch = float(self.fx or 1.0) / float(self.fy or 1.0)
+        if stretch == 1.0:
             return image
-        cv2 = _opencv(name)
-        columns, rows = _undistortion(self, *image.size)
-        return Image.fromarray(cv2.remap(np.asarray(image), columns, rows, cv2.INTER_LINEAR))
+        height = max(1, round(image.height * stretch))
+        return image.resize((image.width, height), Image.Resampling.BILINEAR)
 
     def _coefficients(self) -> tuple[float, ...]:
         return tuple(getattr(self, name) for name in _COEFFICIENTS[self.model])
