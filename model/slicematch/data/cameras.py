@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,24 +34,6 @@ _COEFFICIENTS = {
     "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
 }
 _INTRINSICS = ("fx", "fy", "cx", "cy")
-
-
-class CameraView(NamedTuple):
-    """What a pinhole camera shows, whatever its images' size.
-
-    Attributes
-    ----------
-    hfov_deg : float
-        Horizontal field of view.
-    left_deg : float or None
-        Azimuth of the image's left edge from the optical axis; None for an axis in the centre.
-    horizon : float
-        Where the optical axis is, from the image's top, as a fraction of its height.
-    """
-
-    hfov_deg: float
-    left_deg: float | None = None
-    horizon: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,22 +150,6 @@ class Camera:
             return Frustum(self.hfov_deg, slices, "pinhole", bands)
         fx, cx, width = float(self.fx or 0), float(self.cx or 0), float(self.width or 0)
         return Frustum.from_intrinsics(fx, cx, width, slices, bands)
-
-    @property
-    def view(self) -> CameraView:
-        """What undistorted images show, of a pinhole camera."""
-        frustum = self.frustum(1)
-        horizon = 0.5
-        if self.cy is not None and self.height is not None:
-            horizon = self.cy / self.height
-        return CameraView(frustum.hfov_deg, frustum.left_deg, horizon)
-
-    @property
-    def aspect(self) -> float:
-        """Width over height of undistorted images; 2 of an equirectangular camera's."""
-        if self.width is None or self.height is None:
-            return 2.0
-        return self.width / self.height * float(self.fy or 1.0) / float(self.fx or 1.0)
 
     @property
     def distorted(self) -> bool:

@@ -8,6 +8,7 @@ Satellite Image" (LM), CVPR 2022.
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from PIL import Image
 from slicemask import Frustum
 from slicemask.errors import ImageError, SpecError
 from slicemask.images import read_aerial, read_image, resize
-from slicematch.data.cameras import CameraView
 from slicematch.data.elevations import check_elevations, frame_ground
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.source import DataConfig, Part, Source
@@ -302,6 +302,24 @@ def read_heading(path: str | Path) -> float:
             "fetch the file again"
         )
     return heading
+
+
+class CameraView(NamedTuple):
+    """What a pinhole camera shows, whatever its images' size.
+
+    Attributes
+    ----------
+    hfov_deg : float
+        Horizontal field of view.
+    left_deg : float or None
+        Azimuth of the image's left edge from the optical axis; None for an axis in the centre.
+    horizon : float
+        Where the optical axis is, from the image's top, as a fraction of its height.
+    """
+
+    hfov_deg: float
+    left_deg: float | None = None
+    horizon: float = 0.5
 
 
 def find_view(root: str | Path) -> CameraView:
