@@ -93,7 +93,8 @@ def read_panorama(source: Picture, fit: GroundFit = "crop", hfov_deg: float = 36
     if heading_deg is not None:
         heading_deg %= 360.0
         # What has been done is no longer to be done when the image is read again.
-        image.info["xmp"] = f'xmlns:GPano="{_NAMESPACE}" GPano:PoseHeadingDegrees="{heading_deg}"'
+        data_left = f'xmlns:GPano="{_NAMESPACE}" GPano:PoseHeadingDegrees="{heading_deg}"'
+        image.info["xmp"] = data_left.encode()
         _say_once("heading", f"{name}: its GPano data say that it faces {heading_deg:g} degrees")
     return Panorama(image, heading_deg)
 
