@@ -2,8 +2,9 @@
 
 import functools
 import tempfile
+import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -60,6 +61,8 @@ class Measuring:
         Likewise, with their unit.
     settings : tuple of (name, value)
         Further arguments of `Localizer.load`.
+    call : str
+        Tells calls apart: the run or its data may have changed since the last one.
     """
 
     run: str
@@ -70,6 +73,7 @@ class Measuring:
     headings: str | None = None
     headings_unit: HeadingUnit = "degrees"
     settings: tuple[tuple[str, Any], ...] = ()
+    call: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     columns: ClassVar[Mapping[str, str]] = SAMPLE_COLUMNS
 

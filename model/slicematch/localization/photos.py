@@ -126,7 +126,7 @@ class Priors:
 
     def __post_init__(self) -> None:
         if self.near is not None:
-            check_centre(self.near, "the place")
+            object.__setattr__(self, "near", check_centre(self.near, "the place"))
         if self.within_m is not None and not (math.isfinite(self.within_m) and self.within_m > 0):
             raise ConfigError(f"within is {self.within_m:g} m; it must be above 0")
         width = self.heading_half_width_deg
