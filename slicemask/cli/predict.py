@@ -62,6 +62,9 @@ def predict(run: str, ground: str, aerial: str | None, as_json: bool, **options:
         raise click.UsageError("--truth is drawn in the picture; it needs --out.")
     check_model_installed()
     with status_line("loading torch") as say:
+        from slicematch._deferred_compiler import defer_compiler
+
+        defer_compiler()
         from slicematch import predict
 
         prediction = predict(run, ground, aerial, progress=say, **given_options(options))

@@ -111,7 +111,7 @@ def predict(
         A run folder.
     ground : path, PIL image or uint8 [height, width, 3]
         A panorama (VIGOR runs) or a camera image (KITTI runs). The heading found is that of its
-        centre column.
+        centre column, of a camera image that of its optical axis.
     aerial : path, PIL image or uint8 [A, A, 3]
         A square tile, north up.
     metres_per_pixel : float, optional
@@ -195,7 +195,7 @@ def predict(
                 estimate.pose,
                 localizer.frustum,
                 truth=truth,
-                ground=view,
+                ground=localizer.shown(view),
                 title=_title(ground, aerial),
                 estimate=estimate,
                 tile_metres=None if metres_per_pixel is None else tile.width * metres_per_pixel,

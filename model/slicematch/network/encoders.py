@@ -114,6 +114,8 @@ class Encoder(nn.Module):
         if pyramid is not None:
             self.pyramid = FeaturePyramid([shape[1] for shape in shapes], pyramid)
             self.channels = pyramid
+        # Convolutions with channels last take less time: on a CPU, three quarters of it with VGG16.
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, images: Tensor) -> Tensor:
         """Feature maps of images.

@@ -254,7 +254,11 @@ def _range_bands(config: TrainConfig) -> RangeBands | None:
     # As they are once training has completed them.
     height, projection = cast(float, config.camera_height_m), cast(Projection, config.projection)
     shown = config.elevations or image_elevations(
-        projection, cast(float, config.hfov_deg), cast(float, config.ground_aspect)
+        projection,
+        cast(float, config.hfov_deg),
+        cast(float, config.ground_aspect),
+        config.left_deg,
+        config.horizon,
     )
     return RangeBands(
         ranges_m=config.band_ranges_m(),

@@ -227,10 +227,16 @@ def _with_facts_of_the_data(
     """
     side = None if before is None else before.tile_side_m
     own = {name: getattr(training.config, name) for name in training.config.own_settings()}
+    if config.hfov_deg is None:
+        config = replace(
+            config,
+            hfov_deg=training.hfov_deg,
+            left_deg=training.left_deg,
+            horizon=training.horizon,
+        )
     return replace(
         config,
         data_settings={name: plain(value) for name, value in own.items()},
-        hfov_deg=training.hfov_deg if config.hfov_deg is None else config.hfov_deg,
         tile_side_m=float(np.median(training.tile_metres)) if side is None else side,
     )
 
