@@ -7,8 +7,21 @@ import click
 from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import as_json_option, given_options
 from slicemask.cli.output import print_result, progress_bar, status_line
-from slicemask.cli.places import Length, map_option, map_options
-from slicemask.cli.run_options import check_model_installed, refine_option, run_options
+from slicemask.cli.places import Length, map_crs_option, map_option, map_options
+from slicemask.cli.run_options import (
+    check_model_installed,
+    dask_option,
+    refine_option,
+    run_options,
+)
+
+shared_option = click.option(
+    "--share-tiles",
+    "shared_m",
+    type=Length(),
+    help="Photographs this near to each other share a tile; 0 for none.  [default: a sixteenth of "
+    "the tile's side]",
+)
 
 
 @click.command()
@@ -23,19 +36,9 @@ from slicemask.cli.run_options import check_model_installed, refine_option, run_
 )
 @click.option("--picture", metavar="FILE", help="The map with all answers: PNG, SVG, PDF.")
 @map_options
-@click.option(
-    "--share-tiles",
-    "shared_m",
-    type=Length(),
-    help="Photographs this near to each other share a tile; 0 for none.  [default: a sixteenth of "
-    "the tile's side]",
-)
+@shared_option
 @refine_option
-@click.option(
-    "--dask",
-    metavar="WHERE",
-    help="Do it on Dask: local, a number of processes here, or tcp://scheduler:8786.",
-)
+@dask_option
 @click.option("--overwrite", is_flag=True, help="Replace answers that are there.")
 @as_json_option
 def locate(
@@ -70,3 +73,26 @@ def locate(
     print_result(as_json, located.summary(), located.report())
     if len(located.failed) == len(located.answers):
         raise click.ClickException(f"none was located: {located.answers['error'].iloc[0]}")
+
+
+@click.command()
+@click.argument("table")
+@map_option()
+@click.option("--out", required=True, metavar="DIR", help="Folder for photos.csv and tiles/.")
+@map_crs_option
+@click.option(
+    "--tile-side",
+    "side_m",
+    type=Length(),
+    help="Of the tiles on the ground; training cuts smaller ones out of them.  [default: 105m]",
+)
+@click.option("--pixels", type=int, help="Along each side of a tile.  [default: 768]")
+@shared_option
+@as_json_option
+def tiles(table: str, aerial_map: str, out: str, as_json: bool, **options: Any) -> None:
+    """Cut the aerial tiles of a TABLE of photographs from a map, to train on."""
+    from slicematch.data.cut_tiles import cut_tiles
+
+    with messages_on_stderr("slicematch"), progress_bar("cutting", "photographs") as progress:
+        cut = cut_tiles(table, aerial_map, out, progress=progress, **given_options(options))
+    print_result(as_json, cut.summary(), cut.report())

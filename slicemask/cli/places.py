@@ -64,6 +64,9 @@ def map_option(required: bool = True) -> Callable[..., Any]:
     )
 
 
+map_crs_option = click.option(
+    "--map-crs", metavar="CRS", help="Of a map that does not say, as EPSG:25832."
+)
 _MAP_OPTIONS = (
     click.option("--near", type=Numbers("lat,lon"), help="Where they were taken, about."),
     click.option(
@@ -79,7 +82,7 @@ _MAP_OPTIONS = (
         help="Which way the centre column looks, such as 90+-15; +-15 around what a photograph's "
         "compass says; any.  [default: +-30 around the compass, if there is one]",
     ),
-    click.option("--map-crs", metavar="CRS", help="Of a map that does not say, as EPSG:25832."),
+    map_crs_option,
     click.option(
         "--tile-side",
         "side_m",

@@ -13,18 +13,13 @@ import numpy as np
 from slicemask._version import __version__
 from slicemask.errors import ImageError
 from slicematch.data.errors import SampleError
+from slicematch.data.lattice import lattice_point, lattice_step
 from slicematch.data.loading import raise_lack_of_resources
 from slicematch.data.maps import AerialMap
 from slicematch.errors import ConfigError, RunError
 from slicematch.localization.answers import ANSWER_COLUMNS, check_answers_target, write_answers
 from slicematch.localization.localizer import Localizer
-from slicematch.localization.on_map import (
-    MapLocalizer,
-    PlaceOnGlobe,
-    lattice_point,
-    shared_step,
-    tile_side,
-)
+from slicematch.localization.on_map import MapLocalizer, PlaceOnGlobe, tile_side
 from slicematch.localization.photos import Photo, Priors, find_photos
 from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.parts import Parts, Row, digest, import_pyarrow, run_parts, split_groups
@@ -74,7 +69,8 @@ class Locating:
             on_map = self.localizer()
             place = PlaceOnGlobe(lat, lon, self.priors.distance_m(photo, on_map.side_m))
             row["prior_within_m"] = place.within_m
-            found = on_map.localize(photo.ground, place, self.priors.heading(photo))
+            ground = photo.image(on_map.localizer.config)
+            found = on_map.localize(ground, place, self.priors.heading(photo))
         except (ImageError, SampleError, ConfigError) as error:
             raise_lack_of_resources(error)
             return row | {"error": str(error)}
@@ -243,7 +239,7 @@ def locate(
     priors = priors or Priors()
     target = _check_targets(out, picture, overwrite)
     config = RunFolder(Path(run)).load_config()
-    step_m = shared_step(tile_side(config, side_m), shared_m)
+    step_m = lattice_step(tile_side(config, side_m), shared_m)
     opened = AerialMap.open(aerial_map, map_crs)  # the likeliest slips, before anything is loaded
     found = find_photos(photos, priors.near)
     settings = {

@@ -8,6 +8,7 @@ from typing import Any
 
 from slicemask.images import Picture
 from slicematch.data.errors import PlaceError
+from slicematch.data.lattice import lattice_point, lattice_step
 from slicematch.data.maps import AerialMap, MapTile
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
@@ -19,12 +20,8 @@ from slicematch.runs.config import TrainConfig
 
 log = logging.getLogger(__name__)
 
-# Tiles around places this near to each other, in shares of a tile's side, are one and the same.
-SHARED = 1 / 16
 # Encoded tiles that are kept, for photographs that share them.
 _TILES_KEPT = 32
-# Length of a degree of latitude; near enough for a lattice of tiles.
-_METRES_PER_DEGREE = 111_320.0
 
 
 @dataclass(frozen=True)
@@ -145,7 +142,7 @@ class MapLocalizer:
         self.localizer = localizer
         self.map = aerial_map
         self.side_m = tile_side(localizer.config, side_m)
-        self.shared_m = shared_step(self.side_m, shared_m)
+        self.shared_m = lattice_step(self.side_m, shared_m)
         self._tiles: dict[tuple[float, float], tuple[MapTile, AerialTile]] = {}
 
     def localize(
@@ -213,37 +210,6 @@ def tile_side(config: TrainConfig, side_m: float | None = None) -> float:
     if not (math.isfinite(side) and side > 0):
         raise ConfigError(f"the tiles' side is {side:g} m; it must be above 0")
     return float(side)
-
-
-def shared_step(side_m: float, shared_m: float | None = None) -> float:
-    """The step of the lattice that tiles are centred on, metres."""
-    step_m = side_m * SHARED if shared_m is None else float(shared_m)
-    if not 0 <= step_m <= side_m / 2:
-        raise ConfigError(
-            f"tiles are shared by places within {step_m:g} m; it must be from 0 to half the "
-            f"tiles' side, {side_m / 2:g} m"
-        )
-    return step_m
-
-
-def lattice_point(lat: float, lon: float, step_m: float) -> tuple[float, float]:
-    """The point next to a place on a lattice of so many metres: latitude and longitude, degrees.
-
-    The lattice is the same for all places and maps.
-
-    Examples
-    --------
-    >>> lattice_point(52.00001, 4.36001, 5.0) == lattice_point(52.0, 4.36, 5.0)
-    True
-    >>> lattice_point(52.00001, 4.36001, 0.0)
-    (52.00001, 4.36001)
-    """
-    if step_m == 0:
-        return lat, lon
-    step = step_m / _METRES_PER_DEGREE
-    centre_lat = round(lat / step) * step
-    step /= max(math.cos(math.radians(centre_lat)), 1e-3)
-    return round(centre_lat, 9), round(round(lon / step) * step, 9)
 
 
 def place_prior(place: PlaceOnGlobe, tile: MapTile) -> PlacePrior | None:

@@ -8,13 +8,18 @@ from typing import Any
 
 from slicemask.errors import SlicemaskError
 from slicemask.image_formats import FORMATS_TEXT
+from slicemask.images import Picture, read_image
+from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.photographs import read_photographs
 from slicematch.data.positions import read_fix
+from slicematch.data.table_cameras import table_cameras
 from slicematch.data.table_files import SUFFIXES
+from slicematch.data.views import View, cut_view
 from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import check_centre
 from slicematch.localization.localizer import COMPASS_DEG, HeadingPrior
+from slicematch.runs.config import TrainConfig
 
 _IMAGES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 # A camera is sought within so many times the accuracy that its receiver reckons.
@@ -39,6 +44,8 @@ class Photo:
         What its receiver says of that.
     heading_deg : float or None
         Of its centre column, as its compass says.
+    camera : Camera or None
+        That took it, if a table says so; None for the run's own, or a whole panorama.
     error : str or None
         Why it cannot be located, if that is known already.
     """
@@ -50,6 +57,7 @@ class Photo:
     lon: float | None = None
     accuracy_m: float | None = None
     heading_deg: float | None = None
+    camera: Camera | None = None
     error: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -67,6 +75,23 @@ class Photo:
         if self.error is not None or self.lat is None or self.lon is None:
             raise SampleError(self.error or f"{self.ground}: says nothing of where it was taken")
         return self.lat, self.lon
+
+    def image(self, config: TrainConfig) -> Picture:
+        """What a run takes of it: its file, or of another camera's image what the run's view shows.
+
+        Raises
+        ------
+        ImageError
+            If it cannot be read, or does not show the run's view.
+        """
+        view = config.data_settings.get("view")
+        if self.camera is None or view is None or config.ground_size is None:
+            return self.ground
+        image = self.camera.undistort(read_image(self.ground), self.ground)
+        # Not yet as small as the run takes it: that follows once elevations are cropped.
+        width = max(config.ground_size[1], min(image.width, 2 * config.ground_size[1]))
+        size = round(width / View(*view).aspect(self.camera.projection)), width
+        return cut_view(image, self.camera, View(*view), None, size, self.ground)
 
     def known(self, priors: "Priors", within_m: float | None) -> dict[str, Any]:
         """What is known of it, as columns of `slicematch.localization.answers.ANSWER_COLUMNS`."""
@@ -142,7 +167,8 @@ def find_photos(
     sources : sequence of path
         Images, folders of images, patterns such as ``photos/*.jpg``, or tables
         (`slicematch.data.photographs.read_photographs`), of which the columns ``ground`` and, where
-        they are known, ``id``, ``lat``, ``lon``, ``accuracy_m`` and ``heading_deg`` are used.
+        they are known, ``id``, ``lat``, ``lon``, ``accuracy_m``, ``heading_deg`` and ``camera`` are
+        used.
     near : (lat, lon), optional
         Where all of them were taken, whatever they say themselves.
 
@@ -191,11 +217,15 @@ def _rows_of(path: Path) -> list[dict[str, Any]]:
     """The rows of a table, with what they say of themselves."""
     photographs = read_photographs(path)
     named = "id" in photographs.file.columns
+    cameras = table_cameras(photographs)
     rows = []
     for number, ground in enumerate(photographs.ground):
         row: dict[str, Any] = {"ground": ground}
         if named:
             row["id"] = photographs.ids[number]
+        camera = cameras.by_name[cameras.of_rows[number]]
+        if camera.projection == "pinhole" or camera.hfov_deg not in (None, 360.0):
+            row["camera"] = camera
         for column in ("lat", "lon", "accuracy_m", "heading_deg"):
             value = photographs.number(column, number)
             if value is not None:

@@ -83,6 +83,8 @@ class TrainConfig:
     pyramid : int or None
         Channels of a feature pyramid over the encoder's stages of this stride and deeper (ours);
         None for the features of that stage alone.
+    pyramid_to : int
+        Stride of the deepest stage that the pyramid takes.
     ground_size : (height, width) or None
         Pixels of the ground images; None for the paper's, of a panorama that is cut with as many
         pixels a degree.
@@ -158,7 +160,10 @@ class TrainConfig:
     accelerator : str
         As Lightning names them: "cpu", "cuda", ...; "auto" is CUDA where it is there, else the CPU.
     devices : int
-        How many of them; of the CPU at most as many as it has processors.
+        How many of them, on each node; of the CPU at most as many as it has processors.
+    num_nodes : int
+        Machines that train together. Each runs the same command, under torchrun, SLURM's srun, or
+        with Lightning's environment variables.
     projection : {"equirectangular", "pinhole"} or None
         Of the ground images; None for the data set's.
     prior_centre_deg : float or None
@@ -200,6 +205,7 @@ class TrainConfig:
     weights: str = "imagenet"
     stride: int = 16
     pyramid: int | None = None
+    pyramid_to: int = 32
     ground_size: tuple[int, int] | None = None
     aerial_size: int = 512
     image_mean: Triple | None = field(default=None, metadata=_KEPT)
@@ -232,6 +238,7 @@ class TrainConfig:
     precision: Precision = "32-true"
     accelerator: str = "auto"
     devices: int = 1
+    num_nodes: int = 1
     projection: Projection | None = field(default=None, metadata=_KEPT)
     prior_centre_deg: float | None = field(default=None, metadata=_KEPT)
     ground_aspect: float | None = field(default=None, metadata=_KEPT)
@@ -246,11 +253,24 @@ class TrainConfig:
             object.__setattr__(self, setting.name, value)
         self._check("data", self.data in (*DATA_SETS, OWN), f"one of {', '.join(DATA_SETS)}")
         self._check("root", self.root != "" or self.data == OWN, "a folder or a table")
-        for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
+        for name in (
+            "stride",
+            "aerial_size",
+            "slices",
+            "batch_size",
+            "epochs",
+            "devices",
+            "num_nodes",
+        ):
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
         self._check("pyramid", self.pyramid is None or self.pyramid >= 1, "None or at least 1")
+        self._check(
+            "pyramid_to",
+            self.pyramid is None or self.pyramid_to >= self.stride,
+            f"at least the stride, {self.stride}",
+        )
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate"):

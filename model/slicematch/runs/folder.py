@@ -15,6 +15,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -241,6 +242,7 @@ def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
         aerial_size=config.aerial_size,
         stride=config.stride,
         pyramid=config.pyramid,
+        pyramid_to=config.pyramid_to,
         slices=config.slices,
         cross_view_attention=config.cross_view_attention,
         bands=_range_bands(config),
@@ -306,6 +308,13 @@ def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> N
         If they do not fit the model, or are not finite.
     """
     weights = {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    # Runs of 0.1 also hold blocks that no feature needs.
+    held = model.state_dict().keys()
+    weights = {
+        key: value
+        for key, value in weights.items()
+        if key in held or not re.match(r"\w+_encoder\.backbone\.blocks\.\d+\.", key)
+    }
     try:
         model.load_state_dict(weights)
     except (RuntimeError, TypeError, AttributeError) as error:

@@ -6,7 +6,6 @@ an uninterrupted one does.
 """
 
 import logging
-import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from slicematch.training.callbacks import make_callbacks
 from slicematch.training.loaders import PoseDataModule
 from slicematch.training.module import TrainingModule
 from slicematch.training.progress import ProgressLines
-from slicematch.training.trainer import make_trainer
+from slicematch.training.trainer import is_first_process, make_trainer, world_size
 
 import lightning.pytorch as lightning  # isort: skip
 from lightning.pytorch.callbacks import RichProgressBar  # isort: skip
@@ -104,8 +103,8 @@ def train(
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     # Everything that can be wrong with the request is found before the folder is touched.
     run = RunFolder(check_folder(out, RunError))
-    # The processes of further devices find the folder that the first one has made.
-    if is_first_process() and not resume and run.path.exists() and any(run.path.iterdir()):
+    # The processes of further devices and nodes find the folder that the first one has made.
+    if is_first_process(config) and not resume and run.path.exists() and any(run.path.iterdir()):
         raise RunError(
             f"{run.path}: is not empty; go on with the run that is there by --resume, or name "
             "another folder with --out"
@@ -136,19 +135,25 @@ def train(
     )
     trainer = make_trainer(config, run, callbacks, progress)
 
-    if is_first_process():
+    if is_first_process(config):
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
         if config.weights_source is not None and not resuming:
             log.info("the encoders start from the weights %s", config.weights_source)
         _warn_of_places_outside(config, datasets)
-    bad_sample_log = BadSampleLog(
-        run.bad_samples_file, config.max_bad_samples, keep=resuming or not is_first_process()
-    )
-    for part in datasets:
-        part.bad_sample_log = bad_sample_log
     module = TrainingModule(config, model, train_candidates, test_candidates)
-    data = PoseDataModule(config, training, validating, first_epoch)
+    data = PoseDataModule(
+        config,
+        training,
+        validating,
+        first_epoch,
+        # Once all processes have met, and the first one has made the folder.
+        lambda: BadSampleLog(
+            run.bad_samples_file,
+            config.max_bad_samples,
+            keep=resuming or not is_first_process(config),
+        ),
+    )
     with warnings.catch_warnings():
         # Of Lightning's own use of torch; the checkpoints folder of a resumed run is not empty.
         warnings.filterwarnings("ignore", message=".*isinstance.treespec, LeafSpec.")
@@ -168,7 +173,7 @@ def train(
                 )
             raise
     if trainer.is_global_zero:
-        if message := bad_sample_log.report():
+        if data.bad_sample_log and (message := data.bad_sample_log.report()):
             log.warning(message)
         if validating is not None:
             device = "cpu" if config.accelerator == "cpu" else "auto"
@@ -197,11 +202,6 @@ def _parts(
         return own(dataset, "train"), None if validation is None else own(validation, "validation")
     validated = config.validation_fraction > 0
     return config.dataset("train"), config.dataset("validation") if validated else None
-
-
-def is_first_process() -> bool:
-    """Whether this is the process that was started, not one that Lightning adds for a device."""
-    return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
 def _with_normalisation(config: TrainConfig, before: TrainConfig | None) -> TrainConfig:
@@ -245,7 +245,7 @@ def _check_batches(config: TrainConfig, model: SliceMatch, samples: int) -> None
     """Refuse a batch that is too small for the encoders, which would end the first epoch."""
     encoders = model.ground_encoder, model.aerial_encoder
     needed = max(encoder.smallest_batch for encoder in encoders)
-    each = -(-samples // config.devices)  # the last ones are repeated
+    each = -(-samples // world_size(config))  # the last ones are repeated
     smallest = min(config.batch_size, each % config.batch_size or config.batch_size)
     if smallest < needed:
         raise ConfigError(

@@ -1,6 +1,10 @@
 """Tiles of georeferenced maps: where their pixels lie, what pads them, and what is refused."""
 
+import io
+import math
 import pickle
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -265,3 +269,56 @@ def test_a_map_that_breaks_off_says_so_when_it_is_read(tmp_path, pixels):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
     with pytest.raises(MapError, match="cannot be read as a map"):
         AerialMap.open(path).cut(*DELFT, 150.0, 80)
+
+
+SERVICE = """<GDAL_WMS>
+<Service name="TMS"><ServerUrl>http://127.0.0.1:{port}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service>
+<DataWindow>
+<UpperLeftX>-20037508.34</UpperLeftX><UpperLeftY>20037508.34</UpperLeftY>
+<LowerRightX>20037508.34</LowerRightX><LowerRightY>-20037508.34</LowerRightY>
+<TileLevel>19</TileLevel><TileCountX>1</TileCountX><TileCountY>1</TileCountY>
+<YOrigin>top</YOrigin>
+</DataWindow>
+<Projection>EPSG:3857</Projection>
+<BlockSizeX>256</BlockSizeX><BlockSizeY>256</BlockSizeY><BandsCount>3</BandsCount>
+</GDAL_WMS>"""
+
+
+class Tiles(BaseHTTPRequestHandler):
+    """Serves XYZ tiles of a black world with one white blob, 8 m to the east of DELFT."""
+
+    def do_GET(self):
+        z, x, y = (int(part) for part in self.path.removesuffix(".png").split("/")[1:])
+        lat, lon = offset_position(DELFT, 8.0, 0.0)
+        side = 256 * 2**z
+        column = (lon + 180) / 360 * side
+        row = (0.5 - math.asinh(math.tan(math.radians(lat))) / (2 * math.pi)) * side
+        rows, columns = np.mgrid[:256, :256] + 0.5
+        away = (columns + 256 * x - column) ** 2 + (rows + 256 * y - row) ** 2
+        blob = (255 * np.exp(-away / 72)).round().astype(np.uint8)
+        content = io.BytesIO()
+        Image.fromarray(np.repeat(blob[..., None], 3, axis=2)).save(content, format="PNG")
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(content.getvalue())
+
+    def log_message(self, *_):
+        pass
+
+
+def test_tiles_of_a_web_service_are_a_map(tmp_path):
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Tiles)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        service = tmp_path / "service.xml"
+        service.write_text(SERVICE.format(port=server.server_port))
+        tile = AerialMap.open(service).cut(*DELFT, 40.0, 160)
+    finally:
+        server.shutdown()
+        server.server_close()
+    weight = tile.image[..., 0].astype(float)
+    rows, columns = np.mgrid[:160, :160] + 0.5
+    found = [(weight * axis).sum() / weight.sum() * 0.25 for axis in (columns, rows)]
+    np.testing.assert_allclose(found, [28.0, 20.0], atol=0.1)
+    with pytest.raises(MapError, match="cannot be read as a map"):
+        AerialMap.open(service).cut(*DELFT, 40.0, 160)

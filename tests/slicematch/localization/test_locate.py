@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 from slicematch.data.errors import DatasetError, MapError
+from slicematch.data.lattice import lattice_point
 from slicematch.data.maps import AerialMap
 from slicematch.errors import ConfigError, RunError
 from slicematch.localization.geodesy import offset_m, offset_position
 from slicematch.localization.locate import Located, locate, partition
-from slicematch.localization.on_map import lattice_point
 from slicematch.localization.photos import Photo, Priors, find_photos
 
 from slicemask.cli.main import main
