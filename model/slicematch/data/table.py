@@ -136,8 +136,9 @@ class TableConfig(DataConfig):
         if is_whole(camera):
             if self.view is not None:
                 raise DatasetError(
-                    f"view is {self.view}; of whole panoramas, hfov_deg and elevations tell the "
-                    "part that is used: leave it out"
+                    f"view is {self.view}, and {self.root} lists whole panoramas, of which hfov_deg "
+                    "and elevations tell the part that is used: leave it out, or name the "
+                    "photographs' cameras in cameras.yaml beside the table"
                 )
             return
         view = camera_view(camera, main) if self.view is None else View(*self.view)
