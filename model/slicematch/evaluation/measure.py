@@ -53,7 +53,7 @@ class Measuring:
     ----------
     run, part : str
         The run's folder, and the part of its data set.
-    split, root : str or None
+    split, root, aerial_map : str or None
         As `slicematch.evaluate` takes them.
     heading_half_width_deg : float or None
         Likewise.
@@ -69,6 +69,7 @@ class Measuring:
     part: str
     split: str | None = None
     root: str | None = None
+    aerial_map: str | None = None
     heading_half_width_deg: float | None = None
     headings: str | None = None
     headings_unit: HeadingUnit = "degrees"
@@ -86,6 +87,9 @@ class Measuring:
         if self.heading_half_width_deg is not None:
             _use_heading_prior(localizer, self.heading_half_width_deg)
         config = localizer.config
+        if self.aerial_map is not None:
+            others = {**config.data_settings, "map": self.aerial_map}
+            config = replace(config, data_settings=others)
         samples = (
             config.dataset(self.part, self.root, self.split or config.split)
             if dataset is None
