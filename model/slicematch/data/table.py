@@ -136,8 +136,8 @@ class TableConfig(DataConfig):
         if is_whole(camera):
             if self.view is not None:
                 raise DatasetError(
-                    f"view is {self.view}, and {self.root} lists whole panoramas, of which hfov_deg "
-                    "and elevations tell the part that is used: leave it out, or name the "
+                    f"view is {self.view}, and {self.root} lists whole panoramas, of which "
+                    "hfov_deg and elevations tell the part that is used: leave it out, or name the "
                     "photographs' cameras in cameras.yaml beside the table"
                 )
             return
