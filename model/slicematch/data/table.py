@@ -16,15 +16,23 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask.images import read_aerial, read_image
-from slicematch.data.elevations import crop_elevations
+from slicematch.data.elevations import check_elevations, crop_elevations
 from slicematch.data.errors import DatasetError
-from slicematch.data.panoramas import draw_heading_deg, read_panorama, turn_panorama
+from slicematch.data.panoramas import (
+    LEVEL_WITHIN_DEG,
+    draw_heading_deg,
+    level,
+    read_panorama,
+    says_its_tilt,
+    turn_panorama,
+)
 from slicematch.data.photographs import Photographs, read_photographs
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.table_cameras import table_cameras
 from slicematch.data.table_checks import check_rows
 from slicematch.data.table_files import find_table
-from slicematch.data.views import WHOLE_SPHERE, View, camera_view, cut_view
+from slicematch.data.views import View, camera_view, cut_view, is_whole, level_pinhole
+from slicematch.data.vigor import VigorConfig
 from slicematch.data.windows import Metres, cut_window, place_window, tile_pixels
 
 if TYPE_CHECKING:
@@ -81,7 +89,6 @@ class TableConfig(DataConfig):
     """
 
     projection = "equirectangular"
-    hfov_deg = None
     ground_aspect = 2.0
     camera_height_m = 2.5
     prior_centre_deg = 0.0
@@ -125,17 +132,35 @@ class TableConfig(DataConfig):
         cameras = table_cameras(photographs)
         main, _ = Counter(cameras.of_rows).most_common(1)[0]
         camera = cameras.by_name[main]
+        object.__setattr__(self, "projection", camera.projection)
+        if is_whole(camera):
+            if self.view is not None:
+                raise DatasetError(
+                    f"view is {self.view}, and {self.root} lists whole panoramas, of which "
+                    "hfov_deg and elevations tell the part that is used: leave it out, or name the "
+                    "photographs' cameras in cameras.yaml beside the table"
+                )
+            return
         view = camera_view(camera, main) if self.view is None else View(*self.view)
+        if self.hfov_deg is not None and abs(self.hfov_deg - view.hfov_deg) > 1e-6:
+            raise DatasetError(
+                f"hfov_deg is {self.hfov_deg:g}; the images of {self.root} show "
+                f"{view.hfov_deg:.4g} degrees: leave it out, or name a part of them by view"
+            )
         facts = {
             "view": tuple(view),
-            "projection": camera.projection,
             "hfov_deg": view.hfov_deg,
-            "left_deg": _left_deg(view),
+            "left_deg": view.off_centre_left_deg,
             "ground_aspect": view.aspect(camera.projection),
             "horizon": view.horizon(camera.projection),
         }
         for name, value in facts.items():
             object.__setattr__(self, name, value)
+
+    @classmethod
+    def default_ground_size(cls, hfov_deg: float | None = None) -> tuple[int, int]:
+        """As many pixels a degree as of VIGOR's: see `DataConfig.default_ground_size`."""
+        return VigorConfig.default_ground_size(hfov_deg)
 
     def check_root(self) -> None:
         """Refuse a root that is neither a table nor the folder of one."""
@@ -194,9 +219,17 @@ class TableSource(Source):
 
     def __init__(self, config: TableConfig, part: Part) -> None:
         self.config = config
-        self.view = WHOLE_SPHERE if config.view is None else View(*config.view)
-        self.hfov_deg, self.left_deg = self.view.hfov_deg, _left_deg(self.view)
-        self.horizon = self.view.horizon(config.projection)
+        self.hfov_deg = 360.0 if config.hfov_deg is None else config.hfov_deg
+        self.left_deg, self.horizon = config.left_deg, config.horizon
+        if config.view is not None:
+            check_elevations(
+                config.elevations,
+                config.projection,
+                self.hfov_deg,
+                config.ground_aspect,
+                self.left_deg,
+                self.horizon,
+            )
         self.photographs = photographs = config.photographs()
         self.side_m = config.side_m or DEFAULT_SIDE_M
         self._rows = _rows(photographs, config, part)
@@ -223,7 +256,15 @@ class TableSource(Source):
                 f"{self.photographs.file.path}: its cameras are of different projections "
                 f"({listed}); a run has one: make a table of each"
             )
-        turned = self.hfov_deg == 360.0
+        turned = self.config.view is None
+        partial = [
+            name for name, camera in zip(names, cameras, strict=True) if not is_whole(camera)
+        ]
+        if turned and partial:
+            raise DatasetError(
+                f"{self.photographs.file.path}: camera {partial[0]} shows a part of what the whole "
+                "panoramas of most rows do; make a table of each"
+            )
         if not turned and self.config.heading_prior is not None:
             raise DatasetError(
                 f"heading_half_width_deg is {self.config.heading_half_width_deg:g}; only whole "
@@ -263,13 +304,24 @@ class TableSource(Source):
     def _ground(self, row: int, heading_deg: float) -> Image.Image:
         config, path = self.config, self.photographs.ground[row]
         if not self._turned:
+            assert config.view is not None
             camera = self._cameras.by_name[self._cameras.of_rows[row]]
             image = camera.undistort(read_image(path), path)
-            return cut_view(image, camera, self.view, config.elevations, config.ground_size, path)
-        panorama = read_panorama(path).image
-        cropped = crop_elevations(panorama, config.elevations, config.projection, self.hfov_deg)
+            image = level_pinhole(image, camera, *self._tilt(row))
+            view = View(*config.view)
+            return cut_view(image, camera, view, config.elevations, config.ground_size, path)
+        panorama = read_panorama(path, config.ground_fit).image
+        tilt = self._tilt(row)
+        if any(tilt) and not says_its_tilt(path):
+            panorama = level(panorama, *tilt)
+        cropped = crop_elevations(panorama, config.elevations, config.projection, 360.0)
         rotation_deg = heading_deg - float(self.photographs.numbers["heading_deg"][row])
-        return turn_panorama(cropped, rotation_deg, config.ground_size)
+        return turn_panorama(cropped, rotation_deg, config.ground_size, self.hfov_deg)
+
+    def _tilt(self, row: int) -> tuple[float, float]:
+        """Pitch and roll of a row's camera, degrees; 0 where it counts as level."""
+        tilt = [self.photographs.number(name, row) or 0.0 for name in ("pitch_deg", "roll_deg")]
+        return (tilt[0], tilt[1]) if max(map(abs, tilt)) > LEVEL_WITHIN_DEG else (0.0, 0.0)
 
     def _aerial(self, row: int, shift: Metres) -> Image.Image:
         size = self.config.aerial_size
@@ -317,11 +369,6 @@ class TableSource(Source):
     def _place(self, row: int, lat: str, lon: str) -> tuple[float, float]:
         numbers = self.photographs.numbers
         return float(numbers[lat][row]), float(numbers[lon][row])
-
-
-def _left_deg(view: View) -> float | None:
-    """The left edge of a view, or None if it is half the field of view off the heading."""
-    return None if view.left_deg == -view.right_deg else view.left_deg
 
 
 def _offset(centre: tuple[float, float], place: tuple[float, float]) -> Metres:
