@@ -32,6 +32,7 @@ from slicematch.precision import Precision
 from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.off_grid import PairScorer
 from slicematch.scoring.scores import score_candidates
@@ -144,7 +145,7 @@ class Localizer:
         """
         if bank is not None and grid is not None:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
-        folder = RunFolder(Path(run))
+        folder = RunFolder(find_run(run))
         config, model = folder.load_model(checkpoint)
         fitted = folder.load_calibration(config)
         chosen = choose_device(device)

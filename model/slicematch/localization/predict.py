@@ -14,6 +14,7 @@ from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import check_resolution
 from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def predict(
     """
     _check_request(metres_per_pixel, truth, centre, geojson, out)
     say = progress or (lambda _: None)
-    RunFolder(Path(run)).load_config()  # the likeliest slip of all, before large images
+    RunFolder(find_run(run)).load_config()  # the likeliest slip of all, before large images
     say("reading the tile")
     tile = read_aerial(aerial)
     say("loading the run")

@@ -78,6 +78,11 @@ class TrainConfig:
         timm backbone.
     weights : str
         What both encoders start from: "imagenet", "none", or a file.
+    init : str or None
+        A run folder, or the name of a run that comes with slicemask, whose weights training starts
+        from (ours): fine-tuning. The command also takes over its network's settings.
+    freeze_encoders : bool
+        Leave the encoders' backbones as they are (ours), for few samples.
     stride : int
         Stride of the feature maps, in pixels.
     pyramid : int or None
@@ -203,6 +208,8 @@ class TrainConfig:
     hfov_deg: float | None = field(default=None, metadata={"option": "hfov"})
     encoder: str = "vgg16"
     weights: str = "imagenet"
+    init: str | None = None
+    freeze_encoders: bool = False
     stride: int = 16
     pyramid: int | None = None
     pyramid_to: int = 32

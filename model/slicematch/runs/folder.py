@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
 import torch
+from safetensors.torch import load_file
 
 from slicemask import PoseGrid
 from slicemask.geometry.frustum import Projection
@@ -31,6 +32,7 @@ from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.settings import read_settings
+from slicematch.runs.shipped import shipped_runs
 
 Checkpoint = Literal["best", "last"]
 
@@ -97,9 +99,16 @@ class RunFolder:
         """The temperature, and how it was fitted."""
         return self.path / "calibration.json"
 
+    @property
+    def packed_weights(self) -> Path:
+        """The weights of a packed run (`slicematch.runs.packed`)."""
+        return self.path / "weights.safetensors"
+
     def checkpoint(self, which: str) -> Path:
-        """The checkpoint "best" or "last"."""
-        return self.path / "checkpoints" / f"{which}.ckpt"
+        """The checkpoint "best" or "last"; a packed run's weights are its best."""
+        path = self.path / "checkpoints" / f"{which}.ckpt"
+        packed = which == "best" and self.packed_weights.is_file() and not path.exists()
+        return self.packed_weights if packed else path
 
     def load_config(self) -> TrainConfig:
         """The run's settings.
@@ -114,7 +123,7 @@ class RunFolder:
         if not self.config_file.is_file():
             raise RunError(
                 f"{self.path}: is no run folder, since it has no {self.config_file.name}; name "
-                "one that `slicemask train` wrote"
+                f"one that `slicemask train` wrote{_or_shipped()}"
             )
         self.read_settings()
         return TrainConfig.load(self.config_file)
@@ -189,6 +198,12 @@ class RunFolder:
         return config, model.eval()
 
 
+def _or_shipped() -> str:
+    """The end of a sentence that says what runs there are."""
+    names = shipped_runs()
+    return f", or {' or '.join(names)}, which comes with slicemask" if names else ""
+
+
 def _metrics(line: bytes) -> dict[str, Any] | None:
     """What a line of the metrics holds; None if it is not whole."""
     try:
@@ -210,7 +225,8 @@ def plan_run(
     Parameters
     ----------
     settings : mapping
-        Settings asked for by name; they go before all others.
+        Settings asked for by name; they go before all others. With ``init``, a run's settings of
+        the network stand behind them.
     config_file : path, optional
         A YAML file of further settings.
     out : path, optional
@@ -230,6 +246,10 @@ def plan_run(
     run = RunFolder(folder)
     if resume and run.config_file.is_file():
         asked = {**run.read_settings(), **asked}
+    elif asked.get("init") is not None:
+        from slicematch.runs.start import network_settings  # which needs this file
+
+        asked = {**network_settings(asked["init"]), **asked}
     return TrainConfig.from_dict(asked), folder
 
 
@@ -287,6 +307,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             "its first epoch"
         )
     try:
+        if path.suffix == ".safetensors":
+            return {"state_dict": {key: _widened(value) for key, value in load_file(path).items()}}
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a hostile or broken file can provoke nearly anything
         reason = str(error).strip().split("\n")[0] or type(error).__name__
@@ -297,6 +319,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     if not (isinstance(content, dict) and isinstance(content.get("state_dict"), Mapping)):
         raise RunError(f"{path}: holds no weights; take a checkpoint that slicemask wrote")
     return content
+
+
+def _widened(tensor: torch.Tensor) -> torch.Tensor:
+    """Half precision is for files alone."""
+    return tensor.float() if tensor.is_floating_point() else tensor
 
 
 def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> None:

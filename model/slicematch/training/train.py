@@ -26,6 +26,7 @@ from slicematch.network.encoders import encoder_normalisation
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig, plain
 from slicematch.runs.folder import RunFolder, build_model, load_weights, read_checkpoint
+from slicematch.runs.start import start_from
 from slicematch.scoring.candidates import Candidates
 from slicematch.training.callbacks import make_callbacks
 from slicematch.training.loaders import PoseDataModule
@@ -120,9 +121,13 @@ def train(
     if resuming:
         _check_same(run, config)
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
-    model = build_model(config, weights="none" if resuming else None)
+    model = build_model(config, weights="none" if resuming or config.init else None)
     if not resuming:
-        config = replace(config, weights_source=model.ground_encoder.weights_source)
+        source = model.ground_encoder.weights_source
+        if config.init is not None:
+            start_from(model, config.init)
+            source = f"run {Path(config.init).name}"
+        config = replace(config, weights_source=source)
     _check_batches(config, model, len(training))
     first_epoch = _finished_epoch(last, model) + 1 if resuming else 0
     train_candidates, test_candidates = (
