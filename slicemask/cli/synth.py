@@ -34,7 +34,7 @@ _OPTIONS = {
 @click.option("--jobs", type=int, help="Processes.  [default: all processors]")
 @as_json_option
 def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
-    """Generate a city with exact poses, on disk as VIGOR, as KITTI, or with a map.
+    """Generate a city with exact poses: VIGOR, KITTI, or a map.
 
     An interrupted command continues where it stopped when it is repeated.
     """

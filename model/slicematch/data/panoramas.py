@@ -220,6 +220,30 @@ def turn_panorama(
     return Image.fromarray(wrapped).resize(size[::-1], Image.Resampling.BILINEAR, box=box)
 
 
+def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | None) -> float:
+    """A heading for a panorama to be turned to, on whole columns of 2048.
+
+    Parameters
+    ----------
+    random : numpy.random.Generator
+        What it is drawn from.
+    prior : (centre, half width) or None
+        Within the half width of the centre, degrees; None for any heading.
+
+    Returns
+    -------
+    float
+        Degrees clockwise from north.
+    """
+    if prior is None:
+        column = random.integers(HEADING_COLUMNS)
+    else:
+        reach = int(prior[1] * HEADING_COLUMNS / 360)
+        centre = round(prior[0] * HEADING_COLUMNS / 360)
+        column = (centre + random.integers(-reach, reach + 1)) % HEADING_COLUMNS
+    return float(column * 360.0 / HEADING_COLUMNS)
+
+
 def cut_hfov(image: Image.Image, hfov_deg: float) -> Image.Image:
     """The middle columns of a panorama, to the nearest column, as wide as a field of view."""
     cut = round(image.width * (360.0 - hfov_deg) / 720.0)
@@ -253,30 +277,6 @@ def _paste(image: Image.Image, width: int, height: int) -> Image.Image:
     sphere = Image.new("RGB", (width, height))
     sphere.paste(image, ((width - image.width) // 2, (height - image.height) // 2))
     return sphere
-
-
-def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | None) -> float:
-    """A heading for a panorama to be turned to, on whole columns of 2048.
-
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        What it is drawn from.
-    prior : (centre, half width) or None
-        Within the half width of the centre, degrees; None for any heading.
-
-    Returns
-    -------
-    float
-        Degrees clockwise from north.
-    """
-    if prior is None:
-        column = random.integers(HEADING_COLUMNS)
-    else:
-        reach = int(prior[1] * HEADING_COLUMNS / 360)
-        centre = round(prior[0] * HEADING_COLUMNS / 360)
-        column = (centre + random.integers(-reach, reach + 1)) % HEADING_COLUMNS
-    return float(column * 360.0 / HEADING_COLUMNS)
 
 
 def gpano_properties(xmp: object) -> dict[str, str]:
