@@ -5,8 +5,13 @@ from typing import Any
 
 import click
 
-from slicemask.cli.options import ImageSize, as_json_option
+from slicemask.cli.options import ImageSize, NameList, as_json_option
 from slicemask.cli.output import print_result, progress_bar
+from slicemask.synth.vary.switches import SWITCHES
+
+_VARY_HELP = "VIGOR: domain randomisation, all or some of " + "; ".join(
+    f"{switch.name} ({switch.help})" for switch in SWITCHES.values()
+)
 
 
 @click.command()
@@ -16,6 +21,8 @@ from slicemask.cli.output import print_result, progress_bar
 @click.option("--out", metavar="DIR", required=True, help="Root of the data set.")
 @click.option("--cities", type=int, help="VIGOR: cities, 1 to 4.  [default: 1]")
 @click.option("--panoramas", type=int, help="VIGOR: panoramas per city.  [default: 400]")
+@click.option("--places", type=int, help="VIGOR: layouts of each city.  [default: 1]")
+@click.option("--vary", type=NameList(), help=f"{_VARY_HELP}.")
 @click.option("--frames", type=int, help="KITTI: frames in all.  [default: 200]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
 @click.option("--panorama-size", type=ImageSize(), help="VIGOR's panoramas.  [default: 2048x1024]")
@@ -35,7 +42,9 @@ def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
             f"slicemask synth needs {error.name}: pip install 'slicemask[synth]'"
         ) from error
     others = (
-        ("frames", "image_size") if kind == "vigor" else ("cities", "panoramas", "panorama_size")
+        ("frames", "image_size")
+        if kind == "vigor"
+        else ("cities", "panoramas", "panorama_size", "places", "vary")
     )
     asked = {name: value for name, value in options.items() if value is not None}
     for name in asked.keys() & set(others):

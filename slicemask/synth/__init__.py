@@ -3,6 +3,7 @@
 Needs the ``synth`` extra: ``pip install 'slicemask[synth]'``.
 """
 
-from slicemask.synth.generate import SynthResult, generate_kitti, generate_vigor
+import lazy_loader
 
-__all__ = ["SynthResult", "generate_kitti", "generate_vigor"]
+# Imported when first used, so that the registry of switches can be read without the extra.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

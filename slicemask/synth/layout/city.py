@@ -79,6 +79,13 @@ class City:
         """The middle of every lane, in the direction of travel, inside the city."""
         return [street.drive(lane) for street in self.streets for lane in range(street.lanes)]
 
+    def heading_deg(self, x: float, y: float) -> float:
+        """Where a car at a place heads: along the nearest lane, clockwise from north."""
+        drives = self.drives()
+        point = shapely.Point(x, y)
+        nearest = drives[int(np.argmin(shapely.distance(np.array(drives, dtype=object), point)))]
+        return _heading(point_and_direction(nearest, nearest.project(point))[1])
+
     def clear_of_cars(self, places: NDArray[np.float64]) -> "City":
         """Take the cars of the ground view away from cameras' places, float64 [n, 2]."""
         cars = self.cars_ground
