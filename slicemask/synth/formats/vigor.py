@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from slicemask.errors import SynthError
 from slicemask.synth.formats.files import is_complete, write_picture, write_text
 from slicemask.synth.formats.tiles import missing_tiles, write_tiles
-from slicemask.synth.layout.city import City, lay_out_city
+from slicemask.synth.layout.city import City
 from slicemask.synth.render.cameras import Panorama
 from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
 from slicemask.synth.render.scene import Scene, View, build_scene
 from slicemask.synth.vary.pictures import AerialLook, panorama_pixels
+from slicemask.synth.vary.places import in_season, lay_out
 from slicemask.synth.vary.switches import Variation
 
 
@@ -181,7 +182,7 @@ def plan_city(spec: VigorSpec) -> VigorPlan:
     least = 2 if spec.place is None else LEAST_TILES
     side = int(np.clip(np.ceil(np.sqrt(spec.panoramas / 1.2)), least, MOST_TILES))
     half_extent_m = (side - 1) / 2 * step_m + LABEL_PIXELS / 2 * info.metres_per_pixel + MARGIN_M
-    city = lay_out_city(spec.layout_seed, half_extent_m)
+    city = lay_out(spec.layout_seed, half_extent_m, spec.variation, spec.place or 0)
     rng = spec.random(1)
     places = _choose_places(city, spec.panoramas, side, step_m, rng)
     if len(places) < spec.panoramas:
@@ -266,7 +267,7 @@ def _choose_places(
 
 @lru_cache(maxsize=1)
 def _scene(spec: VigorSpec, view: View) -> Scene:
-    return build_scene(plan_city(spec).city, view)
+    return build_scene(in_season(plan_city(spec).city, spec.variation, view), view)
 
 
 @dataclass(frozen=True)

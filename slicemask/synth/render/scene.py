@@ -24,6 +24,7 @@ from slicemask.synth.layout.elements import (
     Tree,
 )
 from slicemask.synth.render import meshes
+from slicemask.synth.render.foliage import foliage
 
 View = Literal["ground", "aerial"]
 # Numbers that describe a facade: pitch, storey, width, height, shops, bricks, top.
@@ -43,7 +44,8 @@ class Surfaces:
     colour, window, shop : float32 [S, 3]
         The surface's colour; of walls also that of the glass and of the band above shops.
     facade : float32 [S, 7]
-        Of walls: pitch_m, storey_m, width, height, shops, bricks, and the wall's top in metres.
+        Of walls: pitch_m, storey_m, width, height, shops, bricks, and the wall's top in metres; of
+        grounds: the angle of their pattern in degrees, and zeros.
     """
 
     kind: NDArray[np.uint8]
@@ -145,10 +147,12 @@ class SceneBuilder:
         kinds: Sequence[Kind] | NDArray[np.uint8],
         colours: Sequence[Colour],
         facades: Sequence[tuple[Facade, float]] | None = None,
+        angles_deg: Sequence[float] | None = None,
     ) -> None:
         """Add triangles [T, 3, 3] whose `owner` [T] says which of the given surfaces is theirs.
 
-        Walls come with a facade and the height of their top each.
+        Walls come with a facade and the height of their top each, grounds with the angle of their
+        pattern.
         """
         surfaces = len(colours)
         triple = np.zeros((surfaces, 3, 3), dtype=np.float32)
@@ -165,6 +169,8 @@ class SceneBuilder:
                 look.bricks,
                 top,
             )
+        if angles_deg is not None:
+            numbers[:, 0] = angles_deg
         self._soups.append(soup)
         self._owners.append(np.asarray(owner) + self._count)
         self._kinds.append(np.asarray(kinds, dtype=np.uint8))
@@ -202,7 +208,9 @@ def build_scene(city: City, view: View) -> Scene:
     for building in city.buildings:
         _add_roof(builder, building)
     _add_walls(builder, city.buildings)
-    _add_trees(builder, city.trees)
+    _add_trees(builder, [tree for tree in city.trees if not tree.species])
+    for part in foliage([tree for tree in city.trees if tree.species]):
+        builder.add(*part)
     _add_lamps(builder, city.lamps)
     for landmark in city.landmarks:
         add_landmark(builder, landmark)
@@ -216,7 +224,7 @@ def _flat(x0: float, y0: float, x1: float, y1: float, z: float) -> meshes.Soup:
 
 
 def _add_base(builder: SceneBuilder, city: City) -> None:
-    """The asphalt that all else lies on, and fields around it."""
+    """The base that all else lies on, asphalt by default, and fields around it."""
     e = city.half_extent_m
     soup = np.concatenate(
         [_flat(-e, -e, e, e, 0.0), _flat(-FIELD_M, -FIELD_M, FIELD_M, FIELD_M, -0.3)]
@@ -224,8 +232,8 @@ def _add_base(builder: SceneBuilder, city: City) -> None:
     builder.add(
         soup,
         np.array([0, 0, 1, 1]),
-        (Kind.ASPHALT, Kind.GRASS),
-        ((0.30, 0.30, 0.31), city.style.grass),
+        (city.base[0], Kind.GRASS),
+        (city.base[1], city.style.grass),
     )
 
 
@@ -237,7 +245,11 @@ def _add_areas(builder: SceneBuilder, city: City) -> None:
     top = np.array([area.top_m for area in city.areas])
     soup, owner, _ = meshes.prisms(polygons, 0.0, top)
     builder.add(
-        soup, owner, [area.kind for area in city.areas], [area.colour for area in city.areas]
+        soup,
+        owner,
+        [area.kind for area in city.areas],
+        [area.colour for area in city.areas],
+        angles_deg=[area.angle_deg for area in city.areas],
     )
 
 

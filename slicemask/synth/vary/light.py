@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slicemask.synth.render.light import Light
-from slicemask.synth.render.materials import Floats, as_float32, noise
+from slicemask.synth.render.patterns import Floats, as_float32, noise
 
 
 @dataclass(frozen=True)

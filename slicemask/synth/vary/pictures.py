@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from slicemask.synth.render.cameras import Aerial, Panorama
 from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
-from slicemask.synth.render.materials import Floats, as_float32
+from slicemask.synth.render.patterns import Floats, as_float32
 from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene
 from slicemask.synth.vary import camera as cameras

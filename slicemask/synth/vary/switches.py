@@ -37,6 +37,11 @@ SWITCHES = {
             "camera", 3, "height, pitch, roll, bonnet, stitching seams, cropped elevations, blur"
         ),
         Switch("imagery", 4, "tiles' resolution, leaning facades, mosaic seams, sharpening, JPEG"),
+        Switch("roads", 5, "asphalt, concrete, gravel or dirt; faded, other or no markings"),
+        Switch("trees", 6, "trees of leaves and branches, canopies over the street"),
+        Switch("suburbs", 7, "some layouts are detached houses, gardens, verges, bent streets"),
+        Switch("country", 8, "some layouts are single roads, fields, woods, farms"),
+        Switch("season", 9, "colours of leaves and grass, bare trees"),
     )
 }
 
