@@ -4,7 +4,7 @@ A template stands on z = 0, one unit high and one unit in radius; trees are stre
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -62,16 +62,18 @@ SPECIES = {
     "gum": Species(640, 0.135, 12, 0.34, 0.50, 0.90, 0.72, 0.45, bark=1),
     "wood": Species(230, 0.30, 7, 0.50, 0.40, 0.82, 0.55, 0.72, twigs=False),
     "fir": Species(600, 0.22, 9, 0.80, 0.10, 0.93, 0.0, 0.62, twigs=False, bark=2, cone=True),
-    "bush": Species(130, 0.30, 5, 0.60, 0.30, 0.55, 0.50, 0.80, twigs=False),
+    "bush": Species(110, 0.30, 5, 0.60, 0.30, 0.55, 0.50, 0.80, twigs=False),
     "bare": Species(0, 0.1, 16, 0.40, 0.45, 0.95, 0.80, 0.0, bark=2),
     "sparse": Species(170, 0.16, 14, 0.34, 0.42, 0.92, 0.75, 0.0, bark=0),
 }
 
 
 @cache
-def _template(name: str, variant: int) -> tuple[meshes.Soup, meshes.Soup, meshes.Soup]:
-    """Leaves, dark cores and wood."""
+def _template(name: str, variant: int, fine: bool) -> tuple[meshes.Soup, meshes.Soup, meshes.Soup]:
+    """Leaves, dark cores and wood; finer where a camera may come near."""
     species = SPECIES[name]
+    if fine:
+        species = replace(species, leaves=4 * species.leaves, leaf=0.5 * species.leaf)
     rng = np.random.default_rng([len(name), ord(name[0]), variant])
     share = (np.arange(species.blobs) + 0.5) / species.blobs
     angle = 2.4 * np.arange(species.blobs) + rng.normal(0, 0.4, species.blobs)
@@ -88,7 +90,7 @@ def _template(name: str, variant: int) -> tuple[meshes.Soup, meshes.Soup, meshes
     if species.cone:
         sizes = 0.95 * (1.03 - share) ** 0.9 * rng.uniform(0.9, 1.1, species.blobs) + 0.06
         flat = np.array([1.0, 1.0, 0.55 / SLENDER])
-    ball = trimesh.creation.icosphere(subdivisions=1).triangles
+    ball = trimesh.creation.icosphere(subdivisions=int(fine)).triangles
     cores = [
         ball * flat * size * species.core + centre
         for centre, size in zip(centres, sizes, strict=True)
@@ -151,20 +153,23 @@ def _branch(start: NDArray[np.float64], end: NDArray[np.float64], width: float) 
 
 
 def foliage(
-    trees: Sequence[Tree],
+    trees: Sequence[Tree], near: Sequence[bool] | NDArray[np.bool_]
 ) -> list[tuple[meshes.Soup, NDArray[np.intp], list[Kind], list[Colour]]]:
-    """Triangles [T, 3, 3] of trees that have a species, whose each is, kinds and colours."""
+    """Triangles [T, 3, 3] of trees that have a species, whose each is, kinds and colours.
+
+    Trees that are `near` a camera's way are finer.
+    """
     parts = []
-    groups: dict[tuple[str, int], list[Tree]] = {}
-    for number, tree in enumerate(trees):
-        groups.setdefault((tree.species, number % VARIANTS), []).append(tree)
-    for (name, variant), chosen in groups.items():
+    groups: dict[tuple[str, int, bool], list[Tree]] = {}
+    for number, (tree, fine) in enumerate(zip(trees, near, strict=True)):
+        groups.setdefault((tree.species, number % VARIANTS, bool(fine)), []).append(tree)
+    for (name, variant, fine), chosen in groups.items():
         x, y, height, radius = np.array(
             [(tree.x, tree.y, tree.height_m, tree.radius_m) for tree in chosen]
         ).T
         scale = np.column_stack([radius, radius, height])
         rotation_deg = 137.5 * np.arange(len(chosen)) + 31.0 * variant
-        leaves, cores, wood = _template(name, variant)
+        leaves, cores, wood = _template(name, variant, fine)
         for soup, shade in ((leaves, 1.25), (cores, 0.6)):
             if len(soup):
                 placed = meshes.instances(soup, x, y, np.zeros(len(x)), scale, rotation_deg)

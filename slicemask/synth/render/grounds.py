@@ -25,7 +25,7 @@ def _tinted(light: Floats, tint: Floats, towards: tuple[float, float, float]) ->
 
 def _gravel(point: Floats, footprint: Floats, angle_deg: Floats) -> Floats:
     x, y, _ = point.T
-    stones = _octaves(x, y, footprint, (0.05, 0.30), (0.12, 0.22), (0.35, 0.10))
+    stones = _octaves(x, y, footprint, (0.05, 0.22), (0.12, 0.13), (0.35, 0.05))
     wear = _octaves(x, y, footprint, (1.6, 0.10), (5.0, 0.12), (17.0, 0.10))
     return _tinted(1 + stones + wear, noise(x, y + 70, 4.0, footprint), (0.05, 0.0, -0.08))
 

@@ -29,6 +29,7 @@ from slicemask.synth.render.foliage import foliage
 View = Literal["ground", "aerial"]
 # Numbers that describe a facade: pitch, storey, width, height, shops, bricks, top.
 FACADE_NUMBERS = 7
+NEAR_M = 16.0  # from a street, within which trees have finer leaves
 FIELD_M = 1500.0  # of fields around the city
 DARK: Colour = (0.06, 0.06, 0.065)
 
@@ -209,13 +210,23 @@ def build_scene(city: City, view: View) -> Scene:
         _add_roof(builder, building)
     _add_walls(builder, city.buildings)
     _add_trees(builder, [tree for tree in city.trees if not tree.species])
-    for part in foliage([tree for tree in city.trees if tree.species]):
+    leafy = [tree for tree in city.trees if tree.species]
+    for part in foliage(leafy, _near_streets(city, leafy)):
         builder.add(*part)
     _add_lamps(builder, city.lamps)
     for landmark in city.landmarks:
         add_landmark(builder, landmark)
     _add_cars(builder, city.cars_ground if view == "ground" else city.cars_aerial)
     return builder.build()
+
+
+def _near_streets(city: City, trees: Sequence[Tree]) -> NDArray[np.bool_]:
+    """Whether trees stand so near to a street that their leaves show, bool [n]."""
+    near = np.zeros(len(trees), dtype=bool)
+    points = shapely.points([(tree.x, tree.y) for tree in trees] or np.empty((0, 2)))
+    lines = shapely.STRtree([street.line for street in city.streets])
+    near[lines.query(points, predicate="dwithin", distance=NEAR_M)[0]] = True
+    return near
 
 
 def _flat(x0: float, y0: float, x1: float, y1: float, z: float) -> meshes.Soup:

@@ -27,6 +27,7 @@ from slicemask.synth.vary.trees import Flora
 
 # Layers above the base, which is rough grass, metres.
 FIELD_M, DITCH_M, SHOULDER_M, ROAD_M, SIDE_M, PAINT_M = 0.01, 0.004, 0.015, 0.03, 0.025, 0.045
+SEEN_M = 75.0  # from a road, what tiles show
 FIELDS: dict[str, tuple[Kind, tuple[Colour, ...]]] = {
     "crop": (Kind.CROP, ((0.30, 0.42, 0.16), (0.42, 0.46, 0.20), (0.60, 0.52, 0.28))),
     "stubble": (Kind.CROP, ((0.66, 0.57, 0.38), (0.58, 0.50, 0.36), (0.48, 0.38, 0.28))),
@@ -218,6 +219,7 @@ def _lay_fields(
         [street.line.buffer(street.width_m / 2 + country.verge_m) for street in streets]
     )
     box = shapely.box(-half_extent_m, -half_extent_m, half_extent_m, half_extent_m)
+    seen = shapely.union_all([street.line.buffer(SEEN_M) for street in streets])
     names = list(FIELDS)
     for land in shapely.get_parts(box.difference(corridor)):
         if not isinstance(land, Polygon) or land.area < 50:
@@ -229,22 +231,29 @@ def _lay_fields(
             turned = angle + 90.0 * rng.integers(2) + rng.normal(0, 2)
             shape = ragged(field.buffer(-0.3), 0.5, rng)
             _add_parts(plan, shape, kind, vary_colour(rng, colours, 0.08), FIELD_M, float(turned))
-            _fill_field(name, field, flora, plan, rng)
+            _fill_field(name, field, seen, flora, plan, rng)
             _border(field, country, flora, plan, rng)
 
 
 def _fill_field(
-    name: str, field: Polygon, flora: Flora, plan: Plan, rng: np.random.Generator
+    name: str,
+    field: Polygon,
+    seen: BaseGeometry,
+    flora: Flora,
+    plan: Plan,
+    rng: np.random.Generator,
 ) -> None:
     room = field.buffer(-1.0)
     if name == "wood":
         species = max(("wood", "fir", "sparse"), key=lambda key: flora.shares[key] + rng.random())
-        count = int(field.area / rng.uniform(20, 45))
-        for kind, share in ((species, 0.75), ("wood", 0.25)):
-            add_trees(room, int(count * share), flora, plan, rng, kind)
-        add_trees(
-            room.difference(field.buffer(-7)), int(field.length / 8), flora, plan, rng, "bush"
-        )
+        each_m2 = rng.uniform(11, 26)
+        # Where no tile and no camera sees into it, a wood need not be dense.
+        for part, thin in ((room.intersection(seen), 1.0), (room.difference(seen), 0.25)):
+            count = int(part.area / each_m2 * thin)
+            for kind, share in ((species, 0.7), ("wood", 0.3)):
+                add_trees(part, int(count * share), flora, plan, rng, kind)
+        rim = room.difference(field.buffer(-12))
+        add_trees(rim, int(rim.area / 12), flora, plan, rng, "bush")
     elif name == "scrub":
         add_trees(room, int(field.area / 90), flora, plan, rng, "bush")
         add_trees(room, int(field.area / 250), flora, plan, rng)

@@ -16,8 +16,8 @@ class Weather(Light):
     ----------
     glow
         Brightness of the sky around the sun.
-    glow_deg
-        Width of that.
+    glow_deg, disc_deg
+        Widths of that, and of the sun's disc as the sensor sees it.
     gradient
         Power by which the horizon's colour gives way to the zenith's.
     cloud_size, cloud_base
@@ -28,6 +28,7 @@ class Weather(Light):
 
     glow: float = 0.0
     glow_deg: float = 10.0
+    disc_deg: float = 3.0
     gradient: float = 0.5
     cloud_size: float = 1.0
     cloud_base: float = 0.7
@@ -62,7 +63,8 @@ class Weather(Light):
         near = np.clip(directions @ self.towards_sun, -1, 1)
         angle_deg = np.degrees(np.arccos(near))
         return as_float32(
-            self.glow * (1.2 * np.exp(-angle_deg / self.glow_deg) + 4 * (angle_deg < 2.5))
+            self.glow * np.exp(-angle_deg / self.glow_deg)
+            + self.sun * 2.5 * np.exp(-((angle_deg / self.disc_deg) ** 4))
         )
 
 
@@ -111,6 +113,7 @@ def draw_weather(rng: np.random.Generator, aerial: bool = False) -> Weather:
         },
         glow=float(glow),
         glow_deg=float(rng.uniform(5, 22)),
+        disc_deg=float(rng.uniform(2.5, 9)),
         gradient=float(rng.uniform(0.35, 0.8)),
         cloud_size=float(np.exp(rng.uniform(np.log(0.5), np.log(2.5)))),
         cloud_base=float(rng.uniform(0.4, 0.9)),

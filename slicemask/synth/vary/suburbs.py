@@ -88,8 +88,8 @@ class Suburb:
             path_off_m=float(rng.uniform(0.2, max(0.3, verge - 1.8))),
             setback_m=float(rng.uniform(5, 18) if village else rng.uniform(3.5, 9.5)),
             lane_m=float(rng.uniform(2.3, 3.2) if village else rng.uniform(2.8, 4.6)),
-            street_tree_m=float(rng.uniform(9, 26)) if rng.random() < 0.6 else float("inf"),
-            garden_trees=float(rng.uniform(0.6, 5.0)),
+            street_tree_m=float(rng.uniform(9, 26)) if rng.random() < 0.75 else float("inf"),
+            garden_trees=float(rng.uniform(0.8, 7.0)),
             mown=bool(rng.random() < 0.6),
             fences=float(rng.uniform(0, 0.9)),
         )
@@ -211,7 +211,7 @@ def _fill_lot(
     if rng.random() < suburb.fences:
         _fence(shared, free, plan, rng)
     add_trees(free, int(rng.poisson(suburb.garden_trees)), flora, plan, rng)
-    add_trees(free, int(rng.poisson(suburb.garden_trees)), flora, plan, rng, "bush")
+    add_trees(free, int(rng.poisson(1.6 * suburb.garden_trees)), flora, plan, rng, "bush")
 
 
 def frontage(lot: Polygon, street: LineString) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
