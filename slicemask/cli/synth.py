@@ -23,6 +23,9 @@ _VARY_HELP = "VIGOR: domain randomisation, all or some of " + "; ".join(
 @click.option("--panoramas", type=int, help="VIGOR: panoramas per city.  [default: 400]")
 @click.option("--places", type=int, help="VIGOR: layouts of each city.  [default: 1]")
 @click.option("--vary", type=NameList(), help=f"{_VARY_HELP}.")
+@click.option(
+    "--label-noise-m", type=float, help="VIGOR: deviation of the labels' errors.  [default: 0]"
+)
 @click.option("--frames", type=int, help="KITTI: frames in all.  [default: 200]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
 @click.option("--panorama-size", type=ImageSize(), help="VIGOR's panoramas.  [default: 2048x1024]")
@@ -44,7 +47,7 @@ def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
     others = (
         ("frames", "image_size")
         if kind == "vigor"
-        else ("cities", "panoramas", "panorama_size", "places", "vary")
+        else ("cities", "panoramas", "panorama_size", "places", "vary", "label_noise_m")
     )
     asked = {name: value for name, value in options.items() if value is not None}
     for name in asked.keys() & set(others):

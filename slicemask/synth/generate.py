@@ -22,6 +22,7 @@ from slicemask.threads import thread_count
 # Raised with every change that alters a picture or a label.
 VERSION = 1
 RECORD = "synth.json"
+MOST_LABEL_NOISE_M = 20.0  # more would move cameras off their tiles
 # How often it is looked whether to stop.
 _POLL_S = 0.1
 Progress = Callable[[int, int], None]
@@ -63,6 +64,7 @@ def generate_vigor(
     tile_size: int = 640,
     places: int = 1,
     vary: Sequence[str] = (),
+    label_noise_m: float = 0.0,
     jobs: int | None = None,
     progress: Progress | None = None,
 ) -> SynthResult:
@@ -92,6 +94,9 @@ def generate_vigor(
     vary : sequence of str
         Switches of domain randomisation, keys of `slicemask.synth.vary.switches.SWITCHES`, or
         "all". None leaves all cities as they always were.
+    label_noise_m : float
+        Deviation of the errors of the labels, metres east and north, as GPS has them. Pictures stay
+        the same.
     jobs : int, optional
         Processes; all processors by default.
     progress : callable, optional
@@ -113,6 +118,10 @@ def generate_vigor(
         raise SynthError(
             f"places is {places}; it must be 1 to the number of panoramas a city, {panoramas}"
         )
+    if not 0.0 <= label_noise_m <= MOST_LABEL_NOISE_M:
+        raise SynthError(
+            f"label_noise_m is {label_noise_m}; it must be 0 to {MOST_LABEL_NOISE_M:g} metres"
+        )
     switches = check_switches(vary)
     columns, rows = panorama_size
     if rows < 16 or columns != 2 * rows:
@@ -121,7 +130,9 @@ def generate_vigor(
         )
     jobs = thread_count(jobs)
     root = Path(out)
-    whole = vigor.VigorSpec(seed, 0, panoramas, (columns, rows), tile_size, vary=switches)
+    whole = vigor.VigorSpec(
+        seed, 0, panoramas, (columns, rows), tile_size, None, switches, label_noise_m
+    )
     specs = [vigor.city_specs(replace(whole, city=city), places) for city in range(cities)]
     # Planned before anything is written: not every plan can be.
     tasks: list[_Task] = [
@@ -138,6 +149,8 @@ def generate_vigor(
     }
     if places > 1:
         record["places"] = places
+    if label_noise_m:
+        record["label_noise_m"] = label_noise_m
     if switches:
         record["vary"] = list(switches)
     _claim(root, record)

@@ -81,6 +81,8 @@ class VigorSpec:
         Its number in a city of several places, each a layout of its own; None if it is the city.
     vary
         Switches of domain randomisation that are on.
+    label_noise_m
+        Deviation of the labels' errors, in metres, east and north.
     """
 
     seed: int
@@ -90,6 +92,7 @@ class VigorSpec:
     tile_size: int
     place: int | None = None
     vary: tuple[str, ...] = ()
+    label_noise_m: float = 0.0
 
     @property
     def layout_seed(self) -> tuple[int, ...]:
@@ -386,8 +389,13 @@ def write_labels(root: Path, specs: Sequence[VigorSpec]) -> None:
     lines, listed = [], ""
     for spec in specs:
         plan = plan_city(spec)
+        all_offsets = plan.offsets()
+        if spec.label_noise_m:
+            # As with GPS, a camera's error is the same in all of its tiles.
+            errors = spec.random(6).normal(0, spec.label_noise_m, (len(all_offsets), 1, 2))
+            all_offsets = all_offsets + errors / plan.info.metres_per_pixel
         for name, tiles, offsets in zip(
-            plan.panorama_names, plan.positives, plan.offsets(), strict=True
+            plan.panorama_names, plan.positives, all_offsets, strict=True
         ):
             fields = [name]
             for tile, (d0, d1) in zip(tiles, offsets, strict=True):

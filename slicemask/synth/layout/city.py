@@ -12,6 +12,7 @@ from slicemask.synth.layout.blocks import fill_block
 from slicemask.synth.layout.elements import (
     CAR_BODIES,
     Area,
+    Backdrop,
     Building,
     Car,
     Colour,
@@ -64,6 +65,10 @@ class City:
         the same, those on the lanes differ.
     base
         What shows where no area lies, which is the streets: its kind and colour.
+    islands
+        Of roundabouts, around which lanes end.
+    backdrops
+        What stands around it, far off.
     """
 
     half_extent_m: float
@@ -77,10 +82,17 @@ class City:
     cars_aerial: tuple[Car, ...]
     cars_ground: tuple[Car, ...]
     base: tuple[Kind, Colour] = (Kind.ASPHALT, (0.30, 0.30, 0.31))
+    islands: tuple[Polygon, ...] = ()
+    backdrops: tuple[Backdrop, ...] = ()
 
     def drives(self) -> list[LineString]:
         """The middle of every lane, in the direction of travel, inside the city."""
-        return [street.drive(lane) for street in self.streets for lane in range(street.lanes)]
+        lanes = [street.drive(lane) for street in self.streets for lane in range(street.lanes)]
+        if not self.islands:
+            return lanes
+        closed = shapely.union_all(self.islands).buffer(1.5)
+        parts = shapely.get_parts(shapely.difference(np.array(lanes, dtype=object), closed))
+        return [part for part in parts if isinstance(part, LineString) and part.length > 1.0]
 
     def heading_deg(self, x: float, y: float) -> float:
         """Where a car at a place heads: along the nearest lane, clockwise from north."""
@@ -142,11 +154,14 @@ def lay_out_city(seed: int | Sequence[int], half_extent_m: float) -> City:
 
 
 def land_between(
-    streets: list[Street], half_extent_m: float, radius_m: float = 3.0
+    streets: list[Street],
+    half_extent_m: float,
+    radius_m: float = 3.0,
+    circles: Sequence[Polygon] = (),
 ) -> list[Polygon]:
-    """The land between the carriageways, with rounded corners."""
+    """The land between the carriageways and the grounds of roundabouts, with rounded corners."""
     square = shapely.box(-half_extent_m, -half_extent_m, half_extent_m, half_extent_m)
-    roads = shapely.union_all([street.carriageway for street in streets])
+    roads = shapely.union_all([*(street.carriageway for street in streets), *circles])
     land = square.difference(roads).buffer(-radius_m, quad_segs=3).buffer(radius_m, quad_segs=3)
     return [part for part in shapely.get_parts(land) if isinstance(part, Polygon)]
 

@@ -151,6 +151,15 @@ class Landmark:
     colour: Colour
 
 
+@dataclass(frozen=True)
+class Backdrop:
+    """What stands around a place, far off: heights at even azimuths from north, at a radius."""
+
+    radius_m: float
+    heights_m: tuple[float, ...]
+    colour: Colour
+
+
 @dataclass
 class Plan:
     """Elements as they are laid out."""

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from slicemask.synth.layout.city import City
 from slicemask.synth.layout.elements import (
     CAR_BODIES,
+    Backdrop,
     Building,
     Car,
     Colour,
@@ -214,6 +215,8 @@ def build_scene(city: City, view: View) -> Scene:
     for part in foliage(leafy, _near_streets(city, leafy)):
         builder.add(*part)
     _add_lamps(builder, city.lamps)
+    for backdrop in city.backdrops:
+        _add_backdrop(builder, backdrop)
     for landmark in city.landmarks:
         add_landmark(builder, landmark)
     _add_cars(builder, city.cars_ground if view == "ground" else city.cars_aerial)
@@ -368,6 +371,23 @@ def _add_trees(builder: SceneBuilder, trees: Sequence[Tree]) -> None:
         builder.add(
             trunks, np.zeros(len(trunks), dtype=np.intp), (Kind.PLAIN,), ((0.28, 0.22, 0.17),)
         )
+
+
+def _add_backdrop(builder: SceneBuilder, backdrop: Backdrop) -> None:
+    """A curtain around the place."""
+    heights = np.asarray(backdrop.heights_m)
+    angle = np.linspace(0, 2 * np.pi, len(heights), endpoint=False)
+    ring = np.stack([np.sin(angle), np.cos(angle)], axis=1) * backdrop.radius_m
+    low = np.column_stack([ring, np.full(len(ring), -1.0)])
+    high = np.column_stack([ring, heights - 0.9])
+    after = np.roll(np.arange(len(ring)), -1)
+    soup = np.concatenate(
+        [
+            np.stack([low, low[after], high[after]], axis=1),
+            np.stack([low, high[after], high], axis=1),
+        ]
+    )
+    builder.add(soup, np.zeros(len(soup), dtype=np.intp), (Kind.LEAVES,), (backdrop.colour,))
 
 
 def _add_lamps(builder: SceneBuilder, lamps: Sequence[tuple[float, float, float]]) -> None:

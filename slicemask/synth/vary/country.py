@@ -21,8 +21,11 @@ from slicemask.synth.layout.streets import (
 )
 from slicemask.synth.vary.dwellings import Dwellings
 from slicemask.synth.vary.farms import build_farm
+from slicemask.synth.vary.horizon import draw_horizon
+from slicemask.synth.vary.junctions import build_island, draw_roundabouts, without_cars_on
 from slicemask.synth.vary.roads import ANY, Paint, draw_pavement, paint_roads, patches
 from slicemask.synth.vary.suburbs import add_trees, keep_clear, ring_of_trees
+from slicemask.synth.vary.switches import Variation
 from slicemask.synth.vary.trees import Flora
 
 # Layers above the base, which is rough grass, metres.
@@ -93,7 +96,7 @@ class Country:
         )
 
 
-def lay_out_country(seed: tuple[int, ...], half_extent_m: float) -> City:
+def lay_out_country(seed: tuple[int, ...], half_extent_m: float, variation: Variation) -> City:
     """Lay out a stretch of country. The same seed and extent give the same one."""
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence([*seed, 32]).spawn(5)]
     style_rng, road_rng, field_rng, tree_rng, car_rng = streams
@@ -101,8 +104,10 @@ def lay_out_country(seed: tuple[int, ...], half_extent_m: float) -> City:
     flora = Flora.draw(style_rng)
     plan = Plan()
     streets: list[Street] = []
+    pavements: list[tuple[Kind, Colour]] = []
     for number, line in enumerate(_lay_roads(half_extent_m, road_rng)):
         (kind, colour), painted = draw_pavement(road_rng, ANY)
+        pavements.append((kind, colour))
         lane = float(road_rng.uniform(2.7, 3.9) if painted else road_rng.uniform(1.9, 3.2))
         street = Street(line, 2, False, lane)
         streets.append(street)
@@ -117,13 +122,21 @@ def lay_out_country(seed: tuple[int, ...], half_extent_m: float) -> City:
             plan.areas += patches([street], colour, top + 0.003, road_rng)
             paint = Paint.draw(road_rng, float(road_rng.uniform(0.2, 1.0)))
             plan.areas += paint_roads([street], paint, colour, PAINT_M)
+    islands = []
+    if "junctions" in variation:
+        for roundabout in draw_roundabouts(streets, True, variation.random("junctions")):
+            _add_parts(plan, roundabout.ground, *pavements[0], ROAD_M + 0.001)
+            ground, plants = build_island(roundabout, style, flora, road_rng)
+            plan.areas += ground
+            islands.append((roundabout, plants))
     _lay_fields(streets, country, style, flora, half_extent_m, plan, field_rng)
     _settle(streets, country, style, flora, plan, field_rng)
     _line_roads(streets, country, flora, plan, tree_rng)
     ring_of_trees(half_extent_m, flora, plan, tree_rng)
     keep_clear(plan, streets)
+    plan.trees += [tree for _, plants in islands for tree in plants]
     cars_aerial, cars_ground = park_cars(plan.slots, streets, car_rng, 400.0)
-    return City(
+    city = City(
         half_extent_m=half_extent_m,
         style=style,
         streets=tuple(streets),
@@ -135,7 +148,9 @@ def lay_out_country(seed: tuple[int, ...], half_extent_m: float) -> City:
         cars_aerial=tuple(cars_aerial),
         cars_ground=tuple(cars_ground),
         base=(Kind.MEADOW, vary_colour(style_rng, (style.grass, (0.48, 0.44, 0.28)), 0.08)),
+        backdrops=draw_horizon(half_extent_m, tree_rng),
     )
+    return without_cars_on(city, [roundabout.island for roundabout, _ in islands])
 
 
 def _lay_roads(half_extent_m: float, rng: np.random.Generator) -> list[LineString]:

@@ -5,6 +5,7 @@ import numpy as np
 from slicemask.synth.layout.city import City, lay_out_city
 from slicemask.synth.render.scene import View
 from slicemask.synth.vary.country import lay_out_country
+from slicemask.synth.vary.junctions import with_roundabouts
 from slicemask.synth.vary.roads import repave
 from slicemask.synth.vary.season import draw_season, dress
 from slicemask.synth.vary.suburbs import lay_out_suburb
@@ -22,13 +23,15 @@ def lay_out(seed: tuple[int, ...], half_extent_m: float, variation: Variation, p
     kinds = ["city", *(name for name in LANDSCAPES if name in variation)]
     kind = kinds[(place + sum(seed)) % len(kinds)]
     if kind != "city":
-        return LANDSCAPES[kind](seed, half_extent_m)
+        return LANDSCAPES[kind](seed, half_extent_m, variation)
     city = lay_out_city(seed, half_extent_m)
     if "roads" in variation:
         city = repave(city, variation.random("roads"))
     if "trees" in variation:
         rng = variation.random("trees")
         city = grow(city, Flora.draw(rng), rng)
+    if "junctions" in variation:
+        city = with_roundabouts(city, variation.random("junctions"))
     return city
 
 

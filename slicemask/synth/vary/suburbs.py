@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from slicemask.synth.layout.blocks import lay_out_retail
 from slicemask.synth.layout.city import City, land_between, park_cars
 from slicemask.synth.layout.elements import Area, Colour, Kind, Plan, Slot
 from slicemask.synth.layout.lots import largest, oriented_bounds, split
+from slicemask.synth.layout.open_spaces import lay_out_park
 from slicemask.synth.layout.palette import vary_colour
 from slicemask.synth.layout.streets import (
     Street,
@@ -20,6 +22,13 @@ from slicemask.synth.layout.streets import (
     point_and_direction,
 )
 from slicemask.synth.vary.dwellings import Dwellings
+from slicemask.synth.vary.horizon import draw_horizon
+from slicemask.synth.vary.junctions import (
+    Roundabout,
+    build_island,
+    draw_roundabouts,
+    without_cars_on,
+)
 from slicemask.synth.vary.roads import (
     ANY,
     PAVED,
@@ -28,6 +37,7 @@ from slicemask.synth.vary.roads import (
     paint_roads,
     patches,
 )
+from slicemask.synth.vary.switches import Variation
 from slicemask.synth.vary.trees import Flora
 
 # Heights of the layers of ground above the street, metres.
@@ -95,7 +105,7 @@ class Suburb:
         )
 
 
-def lay_out_suburb(seed: tuple[int, ...], half_extent_m: float) -> City:
+def lay_out_suburb(seed: tuple[int, ...], half_extent_m: float, variation: Variation) -> City:
     """Lay out a suburb. The same seed and extent give the same one."""
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence([*seed, 31]).spawn(5)]
     style_rng, street_rng, lot_rng, tree_rng, car_rng = streams
@@ -114,10 +124,14 @@ def lay_out_suburb(seed: tuple[int, ...], half_extent_m: float) -> City:
         Street(street.line, 2, False, suburb.lane_m)
         for street in lay_streets(style, half_extent_m, street_rng)
     ]
+    roundabouts: list[Roundabout] = []
+    if "junctions" in variation:
+        roundabouts = draw_roundabouts(streets, True, variation.random("junctions"))
     plan = Plan()
     dwellings = Dwellings.draw(style_rng, style)
     radius = float(style_rng.uniform(3, 9))
-    for block in land_between(streets, half_extent_m, radius):
+    circles = [roundabout.ground for roundabout in roundabouts]
+    for block in land_between(streets, half_extent_m, radius, circles):
         _fill(block, suburb, style, dwellings, flora, plan, lot_rng)
     if painted:
         plan.areas += paint_roads(streets, paint, base[1])
@@ -125,20 +139,26 @@ def lay_out_suburb(seed: tuple[int, ...], half_extent_m: float) -> City:
     _line_streets(streets, suburb, flora, plan, tree_rng)
     ring_of_trees(half_extent_m, flora, plan, tree_rng)
     keep_clear(plan, streets)
+    for roundabout in roundabouts:
+        ground, plants = build_island(roundabout, style, flora, tree_rng)
+        plan.areas += ground
+        plan.trees += plants
     cars_aerial, cars_ground = park_cars(plan.slots, streets, car_rng, 260.0)
-    return City(
+    city = City(
         half_extent_m=half_extent_m,
         style=style,
         streets=tuple(streets),
         areas=tuple(area for area in plan.areas if area.polygon.area > 1e-3),
         buildings=tuple(plan.buildings),
         trees=tuple(plan.trees),
-        landmarks=(),
+        landmarks=tuple(plan.landmarks),
         lamps=(),
         cars_aerial=tuple(cars_aerial),
         cars_ground=tuple(cars_ground),
         base=base,
+        backdrops=draw_horizon(half_extent_m, tree_rng),
     )
+    return without_cars_on(city, [roundabout.island for roundabout in roundabouts])
 
 
 def _fill(
@@ -164,6 +184,12 @@ def _fill(
         )  # fmt: skip
     inner = largest(block.buffer(-suburb.verge_m, join_style="mitre"))
     if inner is None or inner.area < 150:
+        return
+    if inner.area > 2500 and rng.random() < 0.12:
+        (lay_out_park if rng.random() < 0.5 else lay_out_retail)(inner, style, plan, rng)
+        plan.trees = [
+            tree if tree.species else flora.tree(tree.x, tree.y, rng) for tree in plan.trees
+        ]
         return
     for lot in split(inner, suburb.lot_m2 * rng.uniform(0.8, 1.25), rng):
         _fill_lot(lot, block, suburb, style, dwellings, flora, plan, rng)

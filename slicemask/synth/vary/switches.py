@@ -42,6 +42,7 @@ SWITCHES = {
         Switch("suburbs", 7, "some layouts are detached houses, gardens, verges, bent streets"),
         Switch("country", 8, "some layouts are single roads, fields, woods, farms"),
         Switch("season", 9, "colours of leaves and grass, bare trees"),
+        Switch("junctions", 10, "roundabouts"),
     )
 }
 
