@@ -372,7 +372,7 @@ def list_tasks(root: Path, spec: VigorSpec) -> list[PanoramaTask | TilesTask | P
         blocks.setdefault((row // BLOCK, column // BLOCK), []).append(tile)
     tiles = [TilesTask(root, spec, tuple(block)) for block in blocks.values()]
     panoramas = (PanoramaTask(root, spec, number) for number in range(spec.panoramas))
-    tasks = (*tiles, *panoramas)
+    tasks: tuple[PanoramaTask | TilesTask, ...] = (*tiles, *panoramas)
     return [*tasks] if spec.place is None else [PlaceTask(tasks)]
 
 

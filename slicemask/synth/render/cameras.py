@@ -58,7 +58,7 @@ class Panorama:
         about_east = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
         c, s = np.cos(roll), np.sin(roll)
         about_north = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-        return about_east @ about_north
+        return np.asarray(about_east @ about_north)
 
     def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
         """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""

@@ -102,7 +102,8 @@ def _shade(
     start = point[lit] + normal[lit] * 0.03
     start += sun * np.where(leaves[lit], 0.25, 0)[:, None]
     free = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
-    shine[lit] = slope[lit] * free * light.sun
+    # Some light comes through leaves, whichever are in its way.
+    shine[lit] = slope[lit] * np.where(single[lit], 0.25 + 0.75 * free, free) * light.sun
     # The sky lights what looks up most; walls and crowns are darker near the ground.
     sky = light.ambient * (0.72 + 0.28 * normal[:, 2])
     upright = np.abs(normal[:, 2]) < 0.7

@@ -30,7 +30,7 @@ def develop(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -> Pix
         Of the car, clockwise from north.
     """
     steps = (
-        (0.45, _stitch), (0.45, _cover_nadir), (0.5, _soften), (0.3, _crop_elevations)
+        (0.45, _stitch), (0.45, _cover_nadir), (0.5, _soften), (0.3, crop_elevations)
     )  # fmt: skip
     for chance, step in steps:
         if rng.random() < chance:
@@ -61,7 +61,7 @@ def _stitch(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -> Pix
     # Gains blend into each other over a part of the sector.
     blend = np.clip((position % 1.0 - 0.5) / rng.uniform(0.05, 0.9) + 0.5, 0, 1)[:, None]
     gain = gains[lens] * (1 - blend) + gains[(lens + 1) % lenses] * blend
-    return np.clip(moved * gain[None], 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(moved * gain[None], 0, 255), dtype=np.uint8)
 
 
 def _cover_nadir(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -> Pixels:
@@ -70,7 +70,7 @@ def _cover_nadir(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -
     elevation = _elevation_deg(rows)[:, None]
     ahead = np.cos(np.radians(_azimuth_deg(columns) - heading_deg))[None]
     kind = rng.random()
-    rim = rng.uniform(-75, -38)
+    rim = np.full((1, columns), rng.uniform(-75, -38))
     if kind < 0.45:  # a bonnet ahead, a boot behind, narrower aside
         rim = rim + 12 * np.abs(ahead) ** rng.uniform(2, 8) * rng.uniform(0.3, 1.3)
     below = elevation < rim
@@ -103,7 +103,7 @@ def _soften(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -> Pix
     return resample(pixels, float(rng.uniform(0.35, 0.9)))
 
 
-def _crop_elevations(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -> Pixels:
+def crop_elevations(pixels: Pixels, heading_deg: float, rng: np.random.Generator) -> Pixels:
     """A band of elevations; the rest of the sphere is black, grey or the band's last rows."""
     top, bottom = BAND_DEG
     if rng.random() < 0.4:

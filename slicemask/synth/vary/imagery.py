@@ -47,4 +47,4 @@ def _seam(pixels: Pixels, metres_per_pixel: float, rng: np.random.Generator) -> 
     gain = np.exp(rng.normal(0, 0.15) + rng.normal(0, 0.04, 3))
     other = np.clip(np.roll(pixels, shift, axis=(0, 1)) * gain, 0, 255)
     soft = np.clip(side / rng.uniform(1, 12) + 0.5, 0, 1)[..., None]
-    return (pixels * (1 - soft) + other * soft).astype(np.uint8)
+    return np.asarray(pixels * (1 - soft) + other * soft, dtype=np.uint8)

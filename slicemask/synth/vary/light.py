@@ -137,6 +137,8 @@ def add_glare(image: Floats, rays: Floats, weather: Weather, rng: np.random.Gene
     """
     if weather.sun < 0.3 or rng.random() < 0.5:
         return image
-    wide = replace(weather, glow=float(rng.uniform(0.05, 0.45)), glow_deg=float(rng.uniform(8, 30)))
+    wide = replace(
+        weather, sun=0.0, glow=float(rng.uniform(0.05, 0.45)), glow_deg=float(rng.uniform(8, 30))
+    )
     veil = wide.glow_at(rays.reshape(-1, 3)).reshape(image.shape[:2])
     return as_float32(image + np.clip(veil, 0, 1.0)[..., None])
