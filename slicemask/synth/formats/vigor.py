@@ -187,7 +187,7 @@ def plan_city(spec: VigorSpec) -> VigorPlan:
     half_extent_m = (side - 1) / 2 * step_m + LABEL_PIXELS / 2 * info.metres_per_pixel + MARGIN_M
     city = lay_out(spec.layout_seed, half_extent_m, spec.variation, spec.place or 0)
     rng = spec.random(1)
-    places = _choose_places(city, spec.panoramas, side, step_m, rng)
+    places = _choose_places(city, spec.panoramas, side, step_m, rng, few_roads=bool(spec.vary))
     if len(places) < spec.panoramas:
         raise SynthError(
             f"panoramas is {spec.panoramas} and seed is {spec.seed}; the streets of {info.name} "
@@ -237,13 +237,18 @@ def _on_earth(places: NDArray[np.float64], info: VigorCity) -> list[tuple[float,
 
 
 def _choose_places(
-    city: City, count: int, side: int, step_m: float, rng: np.random.Generator
+    city: City,
+    count: int,
+    side: int,
+    step_m: float,
+    rng: np.random.Generator,
+    few_roads: bool = False,
 ) -> NDArray[np.float64]:
     """Choose places on lanes, evenly along them, float64 [count, 2] or fewer for want of room.
 
     Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
     the part that is nearest to the tile's centre, as they are in VIGOR; and no tile gets more than
-    about twice the mean.
+    about twice the mean, of all tiles or, with few roads, of those that lanes cross.
     """
     reach = (side - 1) / 2 * step_m  # cameras have tiles on all sides
     inside = shapely.intersection(
@@ -251,7 +256,11 @@ def _choose_places(
     )
     lanes = shapely.get_parts(inside)
     ends = np.cumsum(shapely.length(lanes))
-    most = 2 * int(np.ceil(count / side**2)) + 1
+    tiles = side**2
+    if few_roads and len(lanes):
+        on_lanes = shapely.get_coordinates(shapely.segmentize(lanes, step_m / 4))
+        tiles = len(np.unique(np.rint((on_lanes + reach) / step_m), axis=0))
+    most = 2 * int(np.ceil(count / max(tiles, 1))) + 1
     taken = np.zeros((side, side), dtype=int)
     places: list[NDArray[np.float64]] = []
     for _ in range(TRIES * count if len(lanes) and ends[-1] else 0):
