@@ -73,7 +73,7 @@ def _template(name: str, variant: int, fine: bool) -> tuple[meshes.Soup, meshes.
     """Leaves, dark cores and wood; finer where a camera may come near."""
     species = SPECIES[name]
     if fine:
-        species = replace(species, leaves=5 * species.leaves, leaf=0.45 * species.leaf)
+        species = replace(species, leaves=3 * species.leaves, leaf=0.58 * species.leaf)
     rng = np.random.default_rng([len(name), ord(name[0]), variant])
     share = (np.arange(species.blobs) + 0.5) / species.blobs
     angle = 2.4 * np.arange(species.blobs) + rng.normal(0, 0.4, species.blobs)

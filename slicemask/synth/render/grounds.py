@@ -25,8 +25,8 @@ def _tinted(light: Floats, tint: Floats, towards: tuple[float, float, float]) ->
 
 def _gravel(point: Floats, footprint: Floats, angle_deg: Floats) -> Floats:
     x, y, _ = point.T
-    stones = _octaves(x, y, footprint, (0.05, 0.22), (0.12, 0.13), (0.35, 0.05))
-    wear = _octaves(x, y, footprint, (1.6, 0.10), (5.0, 0.12), (17.0, 0.10))
+    stones = _octaves(x, y, footprint, (0.05, 0.16), (0.12, 0.08), (0.35, 0.03))
+    wear = _octaves(x, y, footprint, (1.6, 0.06), (5.0, 0.08), (17.0, 0.08))
     return _tinted(1 + stones + wear, noise(x, y + 70, 4.0, footprint), (0.05, 0.0, -0.08))
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slicemask.synth.render.cameras import Camera
 from slicemask.synth.render.light import Light
 from slicemask.synth.render.patterns import Floats, as_float32, noise
 
@@ -126,19 +127,14 @@ def _triple(values: np.ndarray) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def add_glare(image: Floats, rays: Floats, weather: Weather, rng: np.random.Generator) -> Floats:
-    """What a sun in the picture adds to all around it, trees and roofs too.
-
-    Parameters
-    ----------
-    image : float32 [H, W, 3]
-    rays : float32 [H, W, 3]
-        Unit directions of the pixels.
-    """
+def add_glare(image: Floats, camera: Camera, weather: Weather, rng: np.random.Generator) -> Floats:
+    """Add to a picture, float32 [H, W, 3], what the sun adds to all around it, trees too."""
     if weather.sun < 0.3 or rng.random() < 0.5:
         return image
     wide = replace(
         weather, sun=0.0, glow=float(rng.uniform(0.05, 0.45)), glow_deg=float(rng.uniform(8, 30))
     )
+    row, column = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
+    rays = as_float32(camera.rays(row, column)[1])
     veil = wide.glow_at(rays.reshape(-1, 3)).reshape(image.shape[:2])
     return as_float32(image + np.clip(veil, 0, 1.0)[..., None])

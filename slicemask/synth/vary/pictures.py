@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from slicemask.synth.render.cameras import Aerial, Panorama
 from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
-from slicemask.synth.render.patterns import Floats, as_float32
+from slicemask.synth.render.patterns import Floats
 from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene
 from slicemask.synth.vary import camera as cameras
@@ -56,7 +56,7 @@ def panorama_pixels(
         light = draw_weather(glare)
     image = render(scene, camera, light)
     if isinstance(light, Weather) and glare is not None:
-        image = add_glare(image, _rays(camera), light, glare)
+        image = add_glare(image, camera, light, glare)
     if "exposure" in variation:
         image = Exposure.draw(variation.random("exposure", GROUND, number)).apply(image)
     pixels = Grade.draw(rng).apply(image, rng)
@@ -64,12 +64,6 @@ def panorama_pixels(
         own = variation.random("camera", GROUND, number, 1)
         pixels = cameras.develop(pixels, heading_deg, own)
     return pixels
-
-
-def _rays(camera: Panorama) -> Floats:
-    rows, columns = camera.shape
-    row, column = np.mgrid[:rows, :columns] + 0.5
-    return as_float32(camera.rays(row, column)[1])
 
 
 @dataclass(frozen=True)
