@@ -114,14 +114,19 @@ def check_aspect(image: Image.Image, name: str | Path, aspect: float, kind: str)
     ImageError
         If the proportions differ.
     """
-    width, height = image.size
-    expected = aspect * height
-    # The same for a quarter turn: 100x98 and 98x100 are both square, or neither is.
-    if not width or abs(width - expected) > ASPECT_TOLERANCE * max(width, expected):
+    if not has_aspect(image, aspect):
+        width, height = image.size
         shape = "square" if aspect == 1 else f"{aspect:.4g} times as wide as high"
         raise ImageError(
             f"{name}: {width}x{height} pixels; {kind} must be {shape}: crop it, or name another"
         )
+
+
+def has_aspect(image: Image.Image, aspect: float) -> bool:
+    """Whether an image's width is `aspect` times its height, within `ASPECT_TOLERANCE`."""
+    width, expected = image.width, aspect * image.height
+    # The same for a quarter turn: 100x98 and 98x100 are both square, or neither is.
+    return width > 0 and abs(width - expected) <= ASPECT_TOLERANCE * max(width, expected)
 
 
 def resize(image: Image.Image, size: tuple[int, int]) -> Image.Image:
@@ -228,7 +233,7 @@ def _undecoded(image: Image.Image) -> Image.Image:
 def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: str) -> Image.Image:
     """Check an image before it is decoded, and turn it into upright 8-bit RGB."""
     _check_pixels(*image.size, name)
-    xmp = _xmp(image)
+    xmp = xmp_of(image)
     if is_planar(image):
         raise ImageError(
             f"{name}: has 16 bits a channel and is stored band by band, which is not read; store "
@@ -247,7 +252,7 @@ def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: st
     return rgb
 
 
-def _xmp(image: Image.Image) -> bytes | str | None:
+def xmp_of(image: Image.Image) -> bytes | str | None:
     """The XMP data of an image, wherever this version of Pillow keeps them for its format."""
     for key in ("xmp", "XML:com.adobe.xmp"):
         if key in image.info:

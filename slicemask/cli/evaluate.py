@@ -4,7 +4,9 @@ from typing import Any
 
 import click
 
+from slicemask import Frustum
 from slicemask.cli.options import (
+    FRUSTUM_OPTIONS,
     NumberList,
     Numbers,
     as_json_option,
@@ -15,6 +17,7 @@ from slicemask.cli.options import (
 from slicemask.cli.output import print_result, progress_bar, status_line
 from slicemask.cli.run_options import (
     check_model_installed,
+    dask_option,
     device_option,
     precision_option,
     refine_option,
@@ -67,6 +70,7 @@ from slicemask.cli.run_options import (
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @workers_option
 @refine_option
+@dask_option
 @as_json_option
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
     """Measure the errors of a trained RUN, and what the candidate grid alone costs."""
@@ -119,6 +123,7 @@ def benchmark(
     batch_size: int,
     runs: int,
     as_json: bool,
+    frustum: Frustum,
     **settings: Any,
 ) -> None:
     """Time encoding, aggregation and scoring.
@@ -136,15 +141,14 @@ def benchmark(
         "runs": runs,
     }
     if run is not None:
-        for name in settings:
+        for name in (*FRUSTUM_OPTIONS, *settings):
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name.replace('_', '-')} cannot be changed in a run.")
         with status_line("timing"):
             timings = time_run(run, grid=grid, **shared)
     else:
-        settings["hfov_deg"] = settings.pop("hfov")
         with progress_bar("building", "poses") as progress:
             timings = time_settings(
-                grid=grid or "21x21x64", **settings, **shared, progress=progress
+                grid=grid or "21x21x64", frustum=frustum, **settings, **shared, progress=progress
             )
     print_result(as_json, timings.as_dict(), timings.report())

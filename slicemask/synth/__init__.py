@@ -1,4 +1,4 @@
-"""Cities from a seed, rendered from the street and from above, in VIGOR's and KITTI's formats.
+"""Cities from a seed, rendered from the street and from above, in VIGOR's, KITTI's and own formats.
 
 Needs the ``synth`` extra: ``pip install 'slicemask[synth]'``.
 """

@@ -111,9 +111,9 @@ def generate_vigor(
     """
     if not 1 <= cities <= len(vigor.CITIES):
         raise SynthError(f"cities is {cities}; VIGOR has 1 to {len(vigor.CITIES)}")
-    _check_at_least("panoramas", panoramas, 1)
-    _check_at_least("seed", seed, 0)
-    _check_at_least("tile_size", tile_size, 16)
+    check_at_least("panoramas", panoramas, 1)
+    check_at_least("seed", seed, 0)
+    check_at_least("tile_size", tile_size, 16)
     if not 1 <= places <= panoramas:
         raise SynthError(
             f"places is {places}; it must be 1 to the number of panoramas a city, {panoramas}"
@@ -153,10 +153,10 @@ def generate_vigor(
         record["label_noise_m"] = label_noise_m
     if switches:
         record["vary"] = list(switches)
-    _claim(root, record)
+    claim_folder(root, record)
     for city in specs:
         vigor.write_labels(root, city)
-    return _run(root, tasks, jobs, progress)
+    return run_tasks(root, tasks, jobs, progress)
 
 
 def generate_kitti(
@@ -196,9 +196,9 @@ def generate_kitti(
     SpecError
         If `jobs` is less than 1.
     """
-    _check_at_least("frames", frames, 3)
-    _check_at_least("seed", seed, 0)
-    _check_at_least("tile_size", tile_size, 512)
+    check_at_least("frames", frames, 3)
+    check_at_least("seed", seed, 0)
+    check_at_least("tile_size", tile_size, 512)
     columns, rows = image_size
     if rows < 16 or abs(columns / rows * kitti.ROWS / kitti.COLUMNS - 1) > 0.02:
         raise SynthError(
@@ -206,7 +206,7 @@ def generate_kitti(
         )
     jobs = thread_count(jobs)
     root = Path(out)
-    _claim(
+    claim_folder(
         root,
         {
             "format": "kitti",
@@ -222,15 +222,16 @@ def generate_kitti(
         spec = kitti.KittiSpec(seed, area, counts, (columns, rows), tile_size)
         tasks += kitti.list_tasks(root, spec)
         kitti.write_records(root, spec)
-    return _run(root, tasks, jobs, progress)
+    return run_tasks(root, tasks, jobs, progress)
 
 
-def _check_at_least(name: str, value: int, least: int) -> None:
+def check_at_least(name: str, value: int, least: int) -> None:
+    """Refuse a number that is too small."""
     if value < least:
         raise SynthError(f"{name} is {value}; it must be at least {least}")
 
 
-def _claim(root: Path, record: dict[str, Any]) -> None:
+def claim_folder(root: Path, record: dict[str, Any]) -> None:
     """Make the root this data set's, or refuse one that holds something else."""
     path = check_folder(root, SynthError) / RECORD
     try:
@@ -257,7 +258,16 @@ def _claim(root: Path, record: dict[str, Any]) -> None:
     write_text(path, json.dumps(record, indent=2) + "\n")
 
 
-def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | None) -> SynthResult:
+def run_tasks(
+    root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | None
+) -> SynthResult:
+    """Run tasks on processes of their own, and count their images.
+
+    Raises
+    ------
+    SynthError
+        If a process was ended from outside.
+    """
     jobs = min(jobs, len(tasks))
     total = sum(task.images for task in tasks)
     done = rendered = 0

@@ -26,7 +26,7 @@ VIGOR_METRES_PER_PIXEL = {
 }
 KITTI_METRES_PER_PIXEL = 156543.03392 * np.cos(np.radians(49.015)) / 2**18 / 2
 KITTI_FOCAL_PIXELS = 721.5377
-KITTI_HFOV_DEG = float(np.degrees(2 * np.arctan(1242 / 2 / KITTI_FOCAL_PIXELS)))
+KITTI_CENTRE = (609.5593, 172.854)
 CAMERA_AHEAD_M, CAMERA_RIGHT_M = 1.08, 0.26
 
 
@@ -40,12 +40,15 @@ class VigorTree:
 
 @dataclass(frozen=True)
 class KittiTree:
-    """A KITTI tree as written: `frames` lists the paths, `tests` their (sx, sy, theta)."""
+    """A KITTI tree as written: `frames` lists the paths, `tests` their (sx, sy, theta).
+
+    The images reach from the first to the second of `edges_deg`, azimuths from the optical axis.
+    """
 
     root: Path
     frames: list[str]
     tests: np.ndarray
-    hfov_deg: float
+    edges_deg: tuple[float, float]
 
 
 @pytest.fixture(scope="session")
@@ -196,8 +199,9 @@ def write_kitti_tree(
         folder.mkdir(parents=True)
     span_m = tile_pixels * KITTI_METRES_PER_PIXEL
     height, width = ground_size
-    across = 2 * (np.arange(width) + 0.5) / width - 1
-    azimuth_deg = np.degrees(np.arctan(across * np.tan(np.radians(KITTI_HFOV_DEG / 2))))
+    column = 1242 * (np.arange(width) + 0.5) / width
+    principal_column = KITTI_CENTRE[0] if calib else 621
+    azimuth_deg = np.degrees(np.arctan((column - principal_column) / KITTI_FOCAL_PIXELS))
     ranges = range_m / span_m * (1 - (np.arange(height) + 0.5) / height)
     frames = []
     for number in range(pairs):
@@ -214,7 +218,8 @@ def write_kitti_tree(
         (oxts / f"{frame}.txt").write_text(" ".join(f"{x:.13f}" for x in fields) + "\n")
         frames.append(f"{drive}/{frame}.png")
     if calib:
-        row = f"{KITTI_FOCAL_PIXELS} 0 609.5593 44.85728 0 {KITTI_FOCAL_PIXELS} 172.854 0.2163791"
+        focal, (cx, cy) = KITTI_FOCAL_PIXELS, KITTI_CENTRE
+        row = f"{focal} 0 {cx} 44.85728 0 {focal} {cy} 0.2163791"
         (root / "raw_data" / date / "calib_cam_to_cam.txt").write_text(
             "calib_time: 09-Jan-2012 13:57:47\n"
             "S_rect_02: 1.242000e+03 3.750000e+02\n"
@@ -226,7 +231,8 @@ def write_kitti_tree(
     lines = [f"{frame} {sx} {sy} {t}" for frame, (sx, sy, t) in zip(frames, tests, strict=True)]
     for name in ("test1_files.txt", "test2_files.txt"):
         (root / name).write_text("\n".join(lines) + "\n")
-    return KittiTree(root, frames, tests, KITTI_HFOV_DEG)
+    edges = ((column - principal_column) / KITTI_FOCAL_PIXELS for column in (0, 1242))
+    return KittiTree(root, frames, tests, tuple(np.degrees(np.arctan(list(edges)))))
 
 
 # A tiny run, trained for one epoch: its answers are poor, and as good as any to check.
@@ -296,3 +302,88 @@ def slicemask(run, cache):
         return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
     return invoke
+
+
+# A map of one place, and photographs taken on it.
+
+MAP_CENTRE = 51.9990, 4.3735
+MAP_METRES_PER_PIXEL, MAP_PIXELS = 0.5, 600
+
+
+@dataclass(frozen=True)
+class MappedPhotos:
+    """A map and its photographs: where each was taken (lat, lon, heading_deg)."""
+
+    map: Path
+    folder: Path
+    poses: dict[str, tuple[float, float, float]]
+
+
+@pytest.fixture(scope="session")
+def make_mapped_photos():
+    """The function that writes a map and photographs taken on it (see `write_mapped_photos`)."""
+    return write_mapped_photos
+
+
+@pytest.fixture(scope="session")
+def mapped(make_mapped_photos, tmp_path_factory):
+    """A map of 300 m, and six photographs on it."""
+    return make_mapped_photos(tmp_path_factory.mktemp("mapped"))
+
+
+def write_mapped_photos(folder, count=6, *, reach_m=60.0, gps_noise_m=2.0, seed=0):
+    """Write a GeoTIFF and panoramas taken on it, with GPS in their EXIF data, `MappedPhotos`."""
+    rasterio = pytest.importorskip("rasterio")
+    from PIL import ExifTags
+    from rasterio.transform import from_origin
+    from rasterio.warp import transform
+    from slicematch.localization.geodesy import offset_position
+
+    folder = Path(folder)
+    rng = np.random.default_rng(seed)
+    pixels = texture(rng, MAP_PIXELS, 40)
+    (x,), (y,) = transform("EPSG:4326", "EPSG:32631", [MAP_CENTRE[1]], [MAP_CENTRE[0]])
+    half_m = MAP_PIXELS / 2 * MAP_METRES_PER_PIXEL
+    origin = from_origin(x - half_m, y + half_m, MAP_METRES_PER_PIXEL, MAP_METRES_PER_PIXEL)
+    profile = {"driver": "GTiff", "dtype": "uint8", "count": 3, "crs": "EPSG:32631"}
+    profile |= {"width": MAP_PIXELS, "height": MAP_PIXELS, "transform": origin, "tiled": True}
+    with rasterio.open(folder / "ortho.tif", "w", **profile) as file:
+        file.write(np.moveaxis(pixels, -1, 0))
+    (folder / "photos").mkdir()
+    poses = {}
+    for number in range(count):
+        east_m, north_m = rng.uniform(-reach_m, reach_m, 2)
+        heading_deg = float(rng.uniform(0, 360))
+        azimuth_deg = heading_deg + 360 * ((np.arange(128) + 0.5) / 128 - 0.5)
+        ranges = 35 / (2 * half_m) * (1 - (np.arange(64) + 0.5) / 64)
+        place = 0.5 + east_m / (2 * half_m), 0.5 - north_m / (2 * half_m)
+        view = look_around(pixels, place, azimuth_deg, ranges)
+        lat, lon = offset_position(MAP_CENTRE, east_m, north_m)
+        noise = rng.normal(0, gps_noise_m, 2)
+        exif = Image.Exif()
+        exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps_tags(*offset_position((lat, lon), *noise)))
+        name = f"photo_{number:03d}.jpg"
+        Image.fromarray(view).save(folder / "photos" / name, exif=exif, quality=95)
+        poses[name] = lat, lon, heading_deg
+    return MappedPhotos(folder / "ortho.tif", folder / "photos", poses)
+
+
+def gps_tags(lat, lon):
+    """EXIF's GPS tags of a place, to a millimetre."""
+    from PIL.TiffImagePlugin import IFDRational
+
+    def parts(value):
+        return IFDRational(round(abs(value) * 10**8), 10**8), IFDRational(0), IFDRational(0)
+
+    return {
+        1: "S" if lat < 0 else "N", 2: parts(lat), 3: "W" if lon < 0 else "E", 4: parts(lon),
+    }  # fmt: skip
+
+
+@pytest.fixture
+def one_thread():
+    """Torch computes with one thread, as it does in each of Dask's processes."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -12,14 +12,15 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, default_collate
 
+from slicemask import Frustum
 from slicemask.errors import ImageError
 from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 from slicematch.data.augmentation import recolour
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import normalise
 from slicematch.data.loading import raise_lack_of_resources
-from slicematch.data.source import DataConfig, Part
-from slicematch.priors import in_place_prior
+from slicematch.data.source import DataConfig, Part, Source
+from slicematch.priors import count_outside
 
 log = logging.getLogger(__name__)
 Sample = dict[str, Any]
@@ -127,6 +128,19 @@ class PoseDataset(Dataset[Sample | None]):
     map the extent and the priors on place and heading onto themselves, so that a true pose stays
     among the candidates. Its colours change as `recolour` says.
 
+    **Own data.** `slicematch.train` and `slicematch.evaluate` take any other torch ``Dataset`` by
+    ``dataset=`` and ``validation=``. Its items are dicts of these four, with the images before they
+    are resized and normalised, which is left to the run; what this class says of augmentation and
+    of unreadable samples then holds for them:
+
+    - ``ground``: an image as `slicemask.images.read_image` takes it (path, PIL image or array
+      [H, W, 3], uint8 or float in [0, 1]), or a tensor [3, H, W] of such values;
+    - ``aerial``: likewise, square, north up;
+    - ``pose``: u, v, heading_deg of the ground image in the aerial one;
+    - ``metres_per_pixel``: of the aerial image as it is handed over.
+
+    A list ``names`` of its samples is used if it has one; else they are called by their numbers.
+
     An unreadable sample raises `SampleError`, unless the data set was given a `BadSampleLog`: then
     it is written down there and, in training, the next readable sample stands in, so that batches
     stay whole; in validation and test, where a stand-in would count twice, the item is None, which
@@ -140,13 +154,16 @@ class PoseDataset(Dataset[Sample | None]):
         Training and validation share the training file (`validation_fraction`).
     bad_sample_log : BadSampleLog, optional
         Where unreadable samples are written down; without it they raise.
+    source : Source, optional
+        The samples; by default what the settings open.
 
     Attributes
     ----------
     names : list of str
         One for each sample; they may repeat.
-    hfov_deg : float
-        Horizontal field of view of the ground images.
+    hfov_deg, left_deg, horizon : float
+        Horizontal field of view of the ground images, the azimuth of their left edge (None for one
+        of half the field of view), and where their horizon is: see `DataConfig`.
     aerial_size : int
         A, in pixels.
     heading_prior : (centre, half width) or None
@@ -156,6 +173,8 @@ class PoseDataset(Dataset[Sample | None]):
     left_out : int
         Labels that gave no sample because the camera stands off its tile; logged where there are
         any.
+    poses_need_images : bool
+        Whether a pose is known only once the sample's images are loaded.
 
     Raises
     ------
@@ -165,24 +184,28 @@ class PoseDataset(Dataset[Sample | None]):
     """
 
     def __init__(
-        self, config: DataConfig, part: str = "train", bad_sample_log: BadSampleLog | None = None
+        self,
+        config: DataConfig,
+        part: str = "train",
+        bad_sample_log: BadSampleLog | None = None,
+        source: Source | None = None,
     ):
         if part not in get_args(Part):
             raise DatasetError(f"part is {part!r}; it must be one of {', '.join(get_args(Part))}")
-        if not Path(config.root).is_dir():
-            raise DatasetError(
-                f"{config.root}: there is no such folder; name the root of the data tree"
-            )
+        if source is None:
+            config.check_root()
         self.config = config
         self.part = part
         self.bad_sample_log = bad_sample_log
         self.aerial_size = config.aerial_size
         self.heading_prior = config.heading_prior
-        self._source = config.open(cast(Part, part))
+        self._source = config.open(cast(Part, part)) if source is None else source
         self.names = self._source.names
         self.hfov_deg = self._source.hfov_deg
+        self.left_deg, self.horizon = self._source.left_deg, self._source.horizon
         self.tile_metres = self._source.tile_metres
         self.left_out = self._source.left_out
+        self.poses_need_images = self._source.poses_need_images
         if self.left_out:
             log.warning(
                 "%d of the %s part's labels are left out, since the camera stands off its tile",
@@ -194,8 +217,16 @@ class PoseDataset(Dataset[Sample | None]):
                 f"the {part} part of {config.root} holds no sample; check the split, the cities "
                 f"and validation_fraction, which is {config.validation_fraction:g}"
             )
+        frustum = Frustum(self.hfov_deg, 1, config.projection, left_deg=self.left_deg)
+        self._principal_point = frustum.principal_point
         self._keys = _distinct(self.names)
-        self._symmetries = [symmetry for symmetry in SYMMETRIES if _keeps(symmetry, config)]
+        # An image whose optical axis is near its edge, or off it, has no mirror image to show.
+        central = 0.25 <= self._principal_point <= 0.75
+        self._symmetries = [
+            symmetry
+            for symmetry in SYMMETRIES
+            if _keeps(symmetry, config) and (central or symmetry.azimuth_map[0] > 0)
+        ]
         # In shared memory: workers that live on from epoch to epoch see the change.
         self._epoch = torch.zeros((), dtype=torch.int64)
         self._epoch.share_memory_()
@@ -256,7 +287,7 @@ class PoseDataset(Dataset[Sample | None]):
             return ground, aerial
         symmetry = self._symmetry(index)
         if symmetry.azimuth_map[0] < 0:
-            ground = ground.flip(-1)
+            ground = _mirrored(ground, self._principal_point)
         aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
         return recolour(ground, aerial, self._random(index, "colours"), mean, std)
 
@@ -285,12 +316,8 @@ class PoseDataset(Dataset[Sample | None]):
         indices given. The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is
         inside.
         """
-        u0, v0, u1, v1 = extent
-        u, v, _ = self.poses()[slice(None) if indices is None else indices].T
-        outside = (u < u0) | (u > u1) | (v < v0) | (v > v1)
-        if place_prior is not None:
-            outside |= ~in_place_prior(u, v, place_prior)
-        return int(np.count_nonzero(outside))
+        poses = self.poses()[slice(None) if indices is None else indices]
+        return count_outside(poses, extent, place_prior)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -335,6 +362,20 @@ def _distinct(names: list[str]) -> list[str]:
         distinct.append(f"{name}#{seen[name]}" if seen[name] else name)
         seen[name] += 1
     return distinct
+
+
+def _mirrored(ground: torch.Tensor, principal_point: float) -> torch.Tensor:
+    """A ground image [3, H, W] mirrored about its optical axis, with which it is still aligned.
+
+    Columns that this leaves without content are zero, the mean of normalised images.
+    """
+    width = ground.shape[-1]
+    shift = round((2.0 * principal_point - 1.0) * width)
+    mirrored = torch.zeros_like(ground)
+    kept = max(0, width - abs(shift))
+    into, out_of = max(0, shift), max(0, -shift)
+    mirrored[..., into : into + kept] = ground.flip(-1)[..., out_of : out_of + kept]
+    return mirrored
 
 
 def _keeps(symmetry: Symmetry, config: DataConfig) -> bool:

@@ -39,6 +39,11 @@ class SliceMatch(nn.Module):
         Whether the aerial attention sees the ground descriptors (eq. 3).
     bands : RangeBands, optional
         The bands of range that slices are cut into (ours); none in the paper.
+    pyramid : int, optional
+        Channels of a feature pyramid over the encoders' stages (ours); none in the paper: see
+        `slicematch.network.encoders.Encoder`.
+    pyramid_to : int
+        Stride of the deepest stage that it takes.
 
     Attributes
     ----------
@@ -63,12 +68,16 @@ class SliceMatch(nn.Module):
         slices: int = 16,
         cross_view_attention: bool = True,
         bands: RangeBands | None = None,
+        pyramid: int | None = None,
+        pyramid_to: int = 32,
     ) -> None:
         super().__init__()
         if slices < 1:
             raise ConfigError(f"slices is {slices}; it must be at least 1")
-        self.ground_encoder = Encoder(encoder, ground_size, stride, weights)
-        self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights)
+        self.ground_encoder, self.aerial_encoder = (
+            Encoder(encoder, size, stride, weights, pyramid, pyramid_to)
+            for size in (ground_size, (aerial_size, aerial_size))
+        )
         self.channels = self.aerial_encoder.channels
         self.cells = self.aerial_encoder.feature_size[0]
         self.ground_aggregator: nn.Module
@@ -84,7 +93,7 @@ class SliceMatch(nn.Module):
         return self.score(self.encode_ground(ground), self.encode_aerial(aerial), candidates)
 
     def for_inference(self, device: torch.device, precision: Precision = "32-true") -> "SliceMatch":
-        """Set the model to evaluate on a device, its encoders laid out to be fast; returns it.
+        """Set the model to evaluate on a device, in a precision; returns it.
 
         Parameters
         ----------
@@ -100,9 +109,6 @@ class SliceMatch(nn.Module):
         """
         for encoder in (self.ground_encoder, self.aerial_encoder):
             encoder.precision = check_precision(precision, device)
-            # Convolutions with channels last take less time, VGG16's three quarters on a CPU.
-            # Not so in training: the order of its sums, and so its results, would change.
-            encoder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return self.eval().to(device)
 
     def encode_ground(self, images: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from slicemask import Frustum, PoseGrid
 from slicemask.files import write_text
 from slicemask.geometry.frustum import Projection
-from slicematch.data import DATA_SETS, config_class
+from slicematch.data import DATA_SETS, OWN, config_class
 from slicematch.data.source import DataConfig, Split
 from slicematch.errors import ConfigError
 from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
@@ -48,9 +48,10 @@ class TrainConfig:
     Parameters
     ----------
     data : str
-        The data set, by its name in `slicematch.data`.
+        The data set, by its name in `slicematch.data`; "own" for samples that a program hands to
+        `train` itself.
     root : str
-        The folder of the data tree.
+        The folder of the data tree, or a table of photographs.
     split : {"same-area", "cross-area"}
         Where the test part lies; for VIGOR also which cities train.
     data_settings : mapping
@@ -71,15 +72,27 @@ class TrainConfig:
     test_grid : str or None
         Candidate poses in testing, ROWSxCOLUMNSxHEADINGS; None for the paper's.
     hfov_deg : float or None
-        Horizontal field of view of the ground images, in degrees; None for the data set's.
+        Horizontal field of view of the ground images, in degrees: what panoramas are cut to around
+        their headings, or a camera's, with its optical axis in the centre; None for the data set's.
     encoder : str
         timm backbone.
     weights : str
         What both encoders start from: "imagenet", "none", or a file.
+    init : str or None
+        A run folder, or the name of a run that comes with slicemask, whose weights training starts
+        from (ours): fine-tuning. The command also takes over its network's settings.
+    freeze_encoders : bool
+        Leave the encoders' backbones as they are (ours), for few samples.
     stride : int
         Stride of the feature maps, in pixels.
+    pyramid : int or None
+        Channels of a feature pyramid over the encoder's stages of this stride and deeper (ours);
+        None for the features of that stage alone.
+    pyramid_to : int
+        Stride of the deepest stage that the pyramid takes.
     ground_size : (height, width) or None
-        Pixels of the ground images; None for the paper's.
+        Pixels of the ground images; None for the paper's, of a panorama that is cut with as many
+        pixels a degree.
     aerial_size : int
         Pixels along each side of the aerial images.
     image_mean, image_std : (red, green, blue) or None
@@ -107,8 +120,11 @@ class TrainConfig:
     camera_height_m : float or None
         Of the cameras above the ground, which tells the rows of a range; None for the data set's.
     elevations : (lowest, highest) or None
-        The part of the ground images that is used, in degrees above the horizon (ours), which is at
-        half their height; None for all of them.
+        The part of the ground images that is used, in degrees above the horizon (ours); None for
+        all of them. The horizon is at half their height, or at a camera's principal point.
+    ground_fit : {"crop", "resize"}
+        What to do with ground images of other proportions than the data set's: cut or add rows
+        about the horizon until they show as much, or resize them.
     cross_view_attention : bool
         Whether the aerial attention sees the ground descriptors.
     alpha : float or None
@@ -149,13 +165,22 @@ class TrainConfig:
     accelerator : str
         As Lightning names them: "cpu", "cuda", ...; "auto" is CUDA where it is there, else the CPU.
     devices : int
-        How many of them; of the CPU at most as many as it has processors.
+        How many of them, on each node; of the CPU at most as many as it has processors.
+    num_nodes : int
+        Machines that train together. Each runs the same command, under torchrun, SLURM's srun, or
+        with Lightning's environment variables.
     projection : {"equirectangular", "pinhole"} or None
         Of the ground images; None for the data set's.
     prior_centre_deg : float or None
         The heading that a heading prior is centred on; None for the data set's.
     ground_aspect : float or None
         Width over height of the ground images as they are; None for the data set's.
+    left_deg : float or None
+        Azimuth of the ground images' left edge from the camera's optical axis, which is the
+        heading; None for an axis in the centre. Filled in by training with `hfov_deg`.
+    horizon : float
+        Where the horizon of a camera's images is, from their top, as a fraction of their height.
+        Filled in by training with `hfov_deg`.
 
     Raises
     ------
@@ -170,7 +195,7 @@ class TrainConfig:
     """
 
     data: str
-    root: str
+    root: str = ""
     split: Split = "same-area"
     data_settings: Mapping[str, Any] = field(default_factory=dict, metadata=_KEPT)
     heading_half_width_deg: float | None = field(
@@ -183,7 +208,11 @@ class TrainConfig:
     hfov_deg: float | None = field(default=None, metadata={"option": "hfov"})
     encoder: str = "vgg16"
     weights: str = "imagenet"
+    init: str | None = None
+    freeze_encoders: bool = False
     stride: int = 16
+    pyramid: int | None = None
+    pyramid_to: int = 32
     ground_size: tuple[int, int] | None = None
     aerial_size: int = 512
     image_mean: Triple | None = field(default=None, metadata=_KEPT)
@@ -197,6 +226,7 @@ class TrainConfig:
     band_weights: bool = True
     camera_height_m: float | None = None
     elevations: tuple[float, float] | None = None
+    ground_fit: Literal["crop", "resize"] = "crop"
     cross_view_attention: bool = True
     alpha: float | None = field(default=4.0, metadata={"none": "K"})
     tau: float = 0.1
@@ -215,9 +245,12 @@ class TrainConfig:
     precision: Precision = "32-true"
     accelerator: str = "auto"
     devices: int = 1
+    num_nodes: int = 1
     projection: Projection | None = field(default=None, metadata=_KEPT)
     prior_centre_deg: float | None = field(default=None, metadata=_KEPT)
     ground_aspect: float | None = field(default=None, metadata=_KEPT)
+    left_deg: float | None = field(default=None, metadata=_KEPT)
+    horizon: float = field(default=0.5, metadata=_KEPT)
 
     required: ClassVar[tuple[str, ...]] = ("data", "root")
 
@@ -225,11 +258,26 @@ class TrainConfig:
         for setting in fields(self):
             value = convert(setting.name, getattr(self, setting.name), setting.type)
             object.__setattr__(self, setting.name, value)
-        self._check("data", self.data in DATA_SETS, f"one of {', '.join(DATA_SETS)}")
-        for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
+        self._check("data", self.data in (*DATA_SETS, OWN), f"one of {', '.join(DATA_SETS)}")
+        self._check("root", self.root != "" or self.data == OWN, "a folder or a table")
+        for name in (
+            "stride",
+            "aerial_size",
+            "slices",
+            "batch_size",
+            "epochs",
+            "devices",
+            "num_nodes",
+        ):
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
+        self._check("pyramid", self.pyramid is None or self.pyramid >= 1, "None or at least 1")
+        self._check(
+            "pyramid_to",
+            self.pyramid is None or self.pyramid_to >= self.stride,
+            f"at least the stride, {self.stride}",
+        )
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate"):
@@ -271,15 +319,8 @@ class TrainConfig:
         for name in self._from_data():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(data, name))
-        own = {name: _plain(getattr(data, name)) for name in data.own_settings()}
+        own = {name: plain(getattr(data, name)) for name in data.own_settings()}
         object.__setattr__(self, "data_settings", own)
-        self._check(
-            "hfov_deg",
-            self.hfov_deg is None or data.hfov_deg in (None, self.hfov_deg),
-            f"{data.hfov_deg:g}, as of all ground images of {self.data}"
-            if data.hfov_deg is not None
-            else "",
-        )
 
     def _from_data(self) -> tuple[str, ...]:
         """The settings that are the data set's where they are not given."""
@@ -348,7 +389,7 @@ class TrainConfig:
         """Write the settings as YAML, in the order of their documentation, whole or not at all."""
         import yaml  # here, so that the settings can be listed without it
 
-        text = yaml.safe_dump(_plain(asdict(self)), sort_keys=False, default_flow_style=None)
+        text = yaml.safe_dump(plain(asdict(self)), sort_keys=False, default_flow_style=None)
         write_text(Path(path), text, ConfigError)
 
     def grid(self, name: str, grid: str | None = None) -> PoseGrid:
@@ -359,7 +400,8 @@ class TrainConfig:
         """Field of view and slices; `hfov_deg` must be known, as it is in a run folder."""
         if self.hfov_deg is None or self.projection is None:
             raise ConfigError("hfov_deg is None; it must be known: training fills it in")
-        return Frustum(self.hfov_deg, self.slices, self.projection, self.band_shares())
+        shares = self.band_shares()
+        return Frustum(self.hfov_deg, self.slices, self.projection, shares, self.left_deg)
 
     def band_shares(self) -> tuple[float, ...]:
         """The ranges of the bands in shares of the tile's side, to four digits.
@@ -398,17 +440,19 @@ class TrainConfig:
         """Mean and deviation of the images; ImageNet's as long as `image_mean` is None."""
         return self.image_mean or IMAGENET_MEAN, self.image_std or IMAGENET_STD
 
-    def data_config(self, root: str | None = None, split: str | None = None) -> DataConfig:
-        """Settings of the data set, on request with another root or split.
+    def data_config(
+        self, root: str | None = None, split: str | None = None, data: str | None = None
+    ) -> DataConfig:
+        """Settings of the data set, on request with another root or split, or of another one.
 
         Raises
         ------
         ConfigError
             If the data set refuses them.
         """
-        kind = config_class(self.data)
+        kind = config_class(self.data if data is None else data)
         own = kind.own_settings()
-        unknown = sorted(set(self.data_settings) - set(own))
+        unknown = sorted(set(self.data_settings) - set(own)) if data is None else []
         if unknown:
             raise ConfigError(
                 f"setting {unknown[0]!r} is unknown to {self.data}; its own are {', '.join(own)}"
@@ -419,6 +463,7 @@ class TrainConfig:
             "heading_half_width_deg": self.heading_half_width_deg,
             "aerial_size": self.aerial_size,
             "elevations": self.elevations,
+            "ground_fit": self.ground_fit,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
             "extent": self.extent,
@@ -426,16 +471,24 @@ class TrainConfig:
             "seed": self.seed,
         }
         settings["image_mean"], settings["image_std"] = self.normalisation()
-        if self.ground_size is not None:
-            settings["ground_size"] = self.ground_size
+        settings["ground_size"] = self.ground_size or kind.default_ground_size(self.hfov_deg)
+        if self.hfov_deg is not None:
+            for name in ("hfov_deg", "left_deg", "horizon"):
+                settings[name] = getattr(self, name)
         for setting in fields(kind):
             if setting.name in self.data_settings:
                 value = self.data_settings[setting.name]
                 settings[setting.name] = convert(setting.name, value, setting.type)
         try:
-            return kind(**settings)
+            found = kind(**settings)
         except ValueError as error:
             raise ConfigError(str(error)) from error
+        if self.projection not in (None, found.projection) and kind is not config_class(OWN):
+            raise ConfigError(
+                f"{found.root}: its images are {found.projection}, and the run's are "
+                f"{self.projection}; name images of the run's kind"
+            )
+        return found
 
     def dataset(
         self,
@@ -448,6 +501,36 @@ class TrainConfig:
         from slicematch.data.dataset import PoseDataset  # needs torch, which settings do not
 
         return PoseDataset(self.data_config(root, split), part, bad_sample_log)
+
+    def own_dataset(self, samples: Any, part: str) -> "PoseDataset":
+        """A program's own samples, as `PoseDataset` documents them, with these settings.
+
+        Parameters
+        ----------
+        samples : torch.utils.data.Dataset
+            What the program hands over.
+        part : {"train", "validation", "test"}
+            What they are for.
+
+        Raises
+        ------
+        ConfigError
+            If the ground images' field of view is not known.
+        DatasetError
+            If they are no such samples.
+        """
+        from slicematch.data.dataset import PoseDataset  # needs torch, which settings do not
+        from slicematch.data.own import OwnSource
+
+        hfov_deg = 360.0 if self.projection == "equirectangular" else None
+        hfov_deg = hfov_deg if self.hfov_deg is None else self.hfov_deg
+        if self.projection is None or hfov_deg is None:
+            raise ConfigError(
+                "hfov_deg is None; of a program's own pinhole images it must be known, in degrees"
+            )
+        config = self.data_config(data=OWN)
+        source = OwnSource(samples, config, self.projection, hfov_deg)
+        return PoseDataset(config, part, source=source)
 
 
 def _needs_data(settings: Mapping[str, Any]) -> bool:
@@ -473,12 +556,12 @@ def _renamed(settings: Mapping[str, Any], data: type[DataConfig] | None) -> dict
     return renamed
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A value of lists, dicts and plain values, as YAML has them."""
     if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
+        return {key: plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
+        return [plain(part) for part in value]
     return str(value) if isinstance(value, Path) else value
 
 

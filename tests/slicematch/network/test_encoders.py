@@ -111,6 +111,7 @@ def test_pretrained_weights_are_named_with_their_tag(monkeypatch, tmp_path, name
     monkeypatch.setattr(
         "timm.models._builder.load_state_dict_from_hf", lambda *_, **__: load_file(file)
     )
+    monkeypatch.setattr("slicematch.network.encoders.is_hub_within_reach", lambda _: True)
     assert Encoder(name, (32, 32)).weights_source == source
 
 
@@ -180,7 +181,42 @@ def test_without_a_model_hub_it_says_what_to_do(tmp_path):
     assert len(done.stdout.splitlines()) == 1
 
 
+def test_a_pyramid_brings_deep_stages_to_a_shallow_one():
+    encoder = Encoder("test_resnet", (64, 128), stride=8, weights="none", pyramid=24).eval()
+    assert (encoder.channels, encoder.feature_size) == (24, (8, 16))
+    images = torch.randn(1, 3, 64, 128, requires_grad=True)
+    features = encoder(images)
+    assert features.shape == (1, 24, 8, 16)
+    features[0, :, 0, 0].sum().backward()
+    # One stage of stride 8 sees a few cells; those of stride 32 and more see the whole image.
+    assert (images.grad[..., 32:, 64:] != 0).any()
+
+
+@pytest.mark.parametrize("name", ["swin_tiny_patch4_window7_224", "vgg16"])
+def test_a_pyramid_over_other_backbones(name):
+    encoder = Encoder(name, (64, 64), stride=16, weights="none", pyramid=8).eval()
+    with torch.no_grad():
+        assert encoder(torch.randn(1, 3, 64, 64)).shape == (1, 8, 4, 4)
+
+
 def test_ground_and_aerial_weights_are_not_shared():
     model = SliceMatch("test_resnet", "none", (64, 128), 64, slices=4)
     ground = {id(p) for p in model.ground_encoder.parameters()}
     assert ground.isdisjoint({id(p) for p in model.aerial_encoder.parameters()})
+
+
+@pytest.mark.parametrize("name", ["tf_efficientnet_lite0", "mobilenetv3_small_050"])
+def test_blocks_that_no_feature_needs_are_cut(name):
+    """Cut or not, features are the same, and all that is left takes part."""
+    torch.manual_seed(0)
+    encoder = Encoder(name, (64, 64), stride=8, weights="none").eval()
+    torch.manual_seed(0)
+    whole = timm.create_model(name, features_only=True).eval()
+    assert len(encoder.backbone.blocks) < len(whole.blocks)
+    images = torch.randn(1, 3, 64, 64)
+    stage = whole.feature_info.reduction().index(8)
+    state = {key: whole.state_dict()[key] for key in encoder.backbone.state_dict()}
+    encoder.backbone.load_state_dict(state)
+    torch.testing.assert_close(encoder(images), whole(images)[stage])
+    encoder.train()(images.repeat(2, 1, 1, 1)).sum().backward()
+    assert all(parameter.grad is not None for parameter in encoder.parameters())
