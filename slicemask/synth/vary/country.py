@@ -10,7 +10,7 @@ from shapely.ops import substring
 
 from slicemask.synth.layout.city import City, park_cars
 from slicemask.synth.layout.elements import Area, Colour, Kind, Plan
-from slicemask.synth.layout.lots import split
+from slicemask.synth.layout.lots import largest, split
 from slicemask.synth.layout.palette import vary_colour
 from slicemask.synth.layout.streets import (
     Street,
@@ -280,9 +280,10 @@ def _border(
     field: Polygon, country: Country, flora: Flora, plan: Plan, rng: np.random.Generator
 ) -> None:
     kind = rng.choice(4, p=country.borders)
-    ring = field.buffer(-0.5).exterior if not field.buffer(-0.5).is_empty else None
-    if kind == 0 or not isinstance(ring, LineString):
+    inside = largest(field.buffer(-0.5))
+    if kind == 0 or inside is None:
         return
+    ring = inside.exterior
     ring = substring(ring, ring.length * rng.uniform(0, 0.3), ring.length * rng.uniform(0.6, 1.0))
     if kind == 1:
         colour = vary_colour(rng, ((0.45, 0.40, 0.34), (0.75, 0.74, 0.72)))
