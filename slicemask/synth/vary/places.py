@@ -18,10 +18,11 @@ LANDSCAPES = {"suburbs": lay_out_suburb, "country": lay_out_country}
 def lay_out(seed: tuple[int, ...], half_extent_m: float, variation: Variation, place: int) -> City:
     """Lay out a place: a city or, where switches say so, a suburb or a stretch of country.
 
-    Kinds take turns, so that a city of several places has as many of each.
+    Kinds take turns, so that a city of several places has as many of each. The seed is the data
+    set's, the number of the city and, where it has several, the place's own.
     """
     kinds = ["city", *(name for name in LANDSCAPES if name in variation)]
-    kind = kinds[(place + sum(seed)) % len(kinds)]
+    kind = kinds[(place + sum(seed[:2])) % len(kinds)]
     if kind != "city":
         return LANDSCAPES[kind](seed, half_extent_m, variation)
     city = lay_out_city(seed, half_extent_m)
