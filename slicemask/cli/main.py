@@ -25,6 +25,7 @@ _COMMANDS = {
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
+    "app": ("app", "Serve a page to look at: slices of a camera, or answers of a trained RUN."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 
