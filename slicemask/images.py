@@ -114,14 +114,19 @@ def check_aspect(image: Image.Image, name: str | Path, aspect: float, kind: str)
     ImageError
         If the proportions differ.
     """
-    width, height = image.size
-    expected = aspect * height
-    # The same for a quarter turn: 100x98 and 98x100 are both square, or neither is.
-    if not width or abs(width - expected) > ASPECT_TOLERANCE * max(width, expected):
+    if not has_aspect(image, aspect):
+        width, height = image.size
         shape = "square" if aspect == 1 else f"{aspect:.4g} times as wide as high"
         raise ImageError(
             f"{name}: {width}x{height} pixels; {kind} must be {shape}: crop it, or name another"
         )
+
+
+def has_aspect(image: Image.Image, aspect: float) -> bool:
+    """Whether an image's width is `aspect` times its height, within `ASPECT_TOLERANCE`."""
+    width, expected = image.width, aspect * image.height
+    # The same for a quarter turn: 100x98 and 98x100 are both square, or neither is.
+    return width > 0 and abs(width - expected) <= ASPECT_TOLERANCE * max(width, expected)
 
 
 def resize(image: Image.Image, size: tuple[int, int]) -> Image.Image:

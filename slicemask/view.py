@@ -71,8 +71,9 @@ def view_at(pose: tuple[float, float, float], frustum: Frustum, cells: int) -> V
     # As banks are named.
     ranges = "-".join(f"{band_range:g}" for band_range in frustum.bands)
     bands = f"_bands{ranges}" if ranges else ""
+    left = "" if frustum.left_deg is None else f"_left{frustum.left_deg:g}"
     name = (
-        f"at_{u:g}-{v:g}-{heading_deg:g}_hfov{frustum.hfov_deg:g}_{frustum.projection}"
+        f"at_{u:g}-{v:g}-{heading_deg:g}_hfov{frustum.hfov_deg:g}{left}_{frustum.projection}"
         f"_n{frustum.slices}{bands}_l{cells}"
     )
     return View(checked[0], frustum, cells, slice_masks(checked, frustum, cells)[0], name)

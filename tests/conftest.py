@@ -27,7 +27,7 @@ def compute_plain_masks(poses, frustum, cells):
     """Masks of poses, float64 [K, N, L, L], by a Python loop over poses, slices and cells.
 
     ``poses`` [K, 3] are u, v, heading_deg in the aerial frame; ``frustum`` has hfov_deg, slices,
-    projection and bands. With bands the masks are [K, N, B, L, L].
+    projection, left_deg and bands. With bands the masks are [K, N, B, L, L].
     """
     boxes = [
         [box(j / cells, i / cells, (j + 1) / cells, (i + 1) / cells) for j in range(cells)]
@@ -69,8 +69,10 @@ def _nearer(u, v, heading_deg, range_, frustum):
 def _edge_offsets(frustum):
     hfov, count = frustum.hfov_deg, frustum.slices
     if frustum.projection == "pinhole":
-        half_width = math.tan(math.radians(hfov) / 2)
-        return [math.degrees(math.atan((2 * n / count - 1) * half_width)) for n in range(count + 1)]
+        left_deg = -hfov / 2 if frustum.left_deg is None else frustum.left_deg
+        left, right = (math.tan(math.radians(angle)) for angle in (left_deg, left_deg + hfov))
+        columns = [left + (right - left) * n / count for n in range(count + 1)]
+        return [math.degrees(math.atan(column)) for column in columns]
     return [-hfov / 2 + n * hfov / count for n in range(count + 1)]
 
 

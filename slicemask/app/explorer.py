@@ -12,6 +12,7 @@ from PIL import Image
 
 from slicemask.app.controls import FrustumControls, PoseControls
 from slicemask.app.downloads import bank_of_grid, picture_of_pose
+from slicemask.app.locks import when_locked
 from slicemask.app.page import HELP, page
 from slicemask.app.pixels import blend, shades
 from slicemask.app.snippets import bank_command_line, command_line, python_line
@@ -45,7 +46,7 @@ class Explorer:
         self.dropper = ImageDropper(name="Your own aerial tile: square, north up")
         self.dropper.param.watch(self._dropped, "value")
         self.grid = pn.widgets.TextInput(name="Grid of the bank", value="21x21x64", width=140)
-        self.grid.param.watch(lambda event: self._show_texts(), "value")
+        self.grid.param.watch(lambda event: when_locked(self._show_texts), "value")
         self.bank_command = CodeBox("Command of the bank")
         self.view.show_tile(self.tile)
         self.view.move_to(_START)
@@ -102,10 +103,10 @@ class Explorer:
             self.pointed.object = under
 
     def _recompute(self) -> None:
-        self.view.move_to(self.view.pose)
+        when_locked(lambda: self.view.move_to(self.view.pose))
 
     def _typed(self, pose: Pose) -> None:
-        self.view.move_to(pose)
+        when_locked(lambda: self.view.move_to(pose))
 
     def _compute(self) -> None:
         frustum, cells = self.controls.frustum, self.controls.cells.value
@@ -163,7 +164,7 @@ class Explorer:
             self.notice.show(str(error))
             return
         self.notice.show("")
-        self.view.show_tile(self.tile)
+        when_locked(lambda: self.view.show_tile(self.tile))
 
     async def _png(self) -> BytesIO:
         return await self._made(picture_of_pose, ".png", *self._what_is_shown())

@@ -51,4 +51,4 @@ def page(left: Any, right: Any, *, subtitle: str, left_label: str, right_label: 
 
 def asked_for_dark() -> bool:
     """Whether the session's address asks for a dark page."""
-    return pn.state.session_args.get("theme", [b""])[0] == b"dark"
+    return b"dark" in pn.state.session_args.get("theme", [])

@@ -207,7 +207,7 @@ class Bank:
         if read.version != attributes["version"]:
             raise self._fault(
                 "attribute version",
-                f"{read.version} for a spec {'with' if read.frustum.bands else 'without'} bands",
+                f"{read.version} for such a spec ({read.summary()})",
                 repr(int(attributes["version"])),
             )
         return read

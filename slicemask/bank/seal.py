@@ -13,8 +13,8 @@ from pathlib import Path
 from slicemask.errors import BankFormatError
 
 SEAL_BYTES = 512
-# Of the format: 2 where slices have bands, and only there.
-VERSIONS = (1, 2)
+# Of the format; `slicemask.bank.spec.BankSpec.version` says which is which.
+VERSIONS = (1, 2, 3)
 
 _MAGIC = b"slicemask-bank "
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"

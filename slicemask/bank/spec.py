@@ -105,15 +105,25 @@ class BankSpec:
 
     @property
     def version(self) -> int:
-        """Version of the format that the bank is written in: 2 with bands, else 1."""
+        """Version of the format that the bank is written in.
+
+        It is 3 where the principal point is off the centre, else 2 with bands, else 1.
+        """
+        if self.frustum.left_deg is not None:
+            return 3
         return 2 if self.frustum.bands else 1
 
     def to_json(self) -> str:
-        """The spec as JSON text, keys sorted; with "bands" in the frustum only if there are any."""
+        """The spec as JSON text, keys sorted.
+
+        The frustum has "bands" only if there are any, and "left_deg" only if it is not centred.
+        """
         poses = "grid" if isinstance(self.poses, PoseGrid) else "poses"
         content = asdict(self)
         if not self.frustum.bands:
             del content["frustum"]["bands"]
+        if self.frustum.left_deg is None:
+            del content["frustum"]["left_deg"]
         content[poses] = content.pop("poses")
         return json.dumps(content, sort_keys=True)
 
@@ -156,6 +166,8 @@ class BankSpec:
         else:
             parts = [f"poses{self.poses.count}-{self.poses.sha256[:8]}"]
         parts.append(f"hfov{_plain(self.frustum.hfov_deg)}")
+        if self.frustum.left_deg is not None:
+            parts.append(f"left{_plain(self.frustum.left_deg)}")
         if self.frustum.projection != "equirectangular":
             parts.append(self.frustum.projection)
         parts.append(f"n{self.frustum.slices}")
@@ -171,7 +183,9 @@ class BankSpec:
         frustum = self.frustum
         words = [
             str(self.poses),
-            f"hfov {_plain(frustum.hfov_deg)} deg {frustum.projection}",
+            f"hfov {_plain(frustum.hfov_deg)} deg"
+            + (f" from {_plain(frustum.left_deg)}" if frustum.left_deg is not None else "")
+            + f" {frustum.projection}",
             f"{frustum.slices} slices"
             + (f" with bands at {','.join(map(_plain, frustum.bands))}" if frustum.bands else ""),
             f"{self.cells}x{self.cells} cells",

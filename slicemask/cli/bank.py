@@ -17,6 +17,7 @@ import slicemask
 from slicemask import Frustum, PoseGrid
 from slicemask.bank.write import FORMAT
 from slicemask.cli.options import (
+    FRUSTUM_OPTIONS,
     Numbers,
     as_json_option,
     cache_option,
@@ -83,11 +84,8 @@ def build(
     pose_file: str | None,
     extent: tuple[float, float, float, float] | None,
     places: Any,
-    hfov: float,
-    slices: int,
+    frustum: Frustum,
     cells: int,
-    projection: Any,
-    bands: tuple[float, ...],
     engine: Any,
     out: str | None,
     cache: str | None,
@@ -101,7 +99,6 @@ def build(
     if pose_file is not None and (extent is not None or places != "centres"):
         raise click.UsageError("--extent and --places belong to --grid, not to --poses.")
     start = time.perf_counter()
-    frustum = Frustum(hfov, slices, projection, bands)
     poses = (
         slicemask.read_poses(pose_file)
         if pose_file is not None
@@ -163,6 +160,8 @@ def info(bank: str, as_json: bool) -> None:
         "bank": f"{bank} ({FORMAT}, version {spec.version})",
         "poses": f"{len(opened):,} ({'a list' if spec.grid is None else spec.poses})",
         "HFoV": f"{spec.frustum.hfov_deg:g} degrees, {spec.frustum.projection}",
+        "axis": f"{100 * spec.frustum.principal_point:.4g} % of the image's width from its left, "
+        f"which sees {spec.frustum.left_deg or 0.0:.5g} to {spec.frustum.right_deg:.5g} degrees",
         "slices": str(spec.frustum.slices),
         "bands": ", ".join(_band_texts(spec.frustum.bands)),
         "cells": f"{spec.cells} x {spec.cells}",
@@ -177,6 +176,8 @@ def info(bank: str, as_json: bool) -> None:
         lines["extent"] = f"u {u0:g} to {u1:g}, v {v0:g} to {v1:g}, places at {spec.grid.places}"
     if not spec.frustum.bands:
         del lines["bands"]
+    if spec.frustum.left_deg is None:
+        del lines["axis"]
     print_result(as_json, content, "\n".join(f"{name:<10}{text}" for name, text in lines.items()))
 
 
@@ -244,11 +245,8 @@ def visualize(
     bank: str | None,
     pose: str | None,
     at: tuple[float, float, float] | None,
-    hfov: float,
-    slices: int,
+    frustum: Frustum,
     cells: int,
-    projection: Any,
-    bands: tuple[float, ...],
     aerial: str | None,
     out: str | None,
     animate: str | None,
@@ -266,14 +264,12 @@ def visualize(
     if cache is not None and (bank is not None or at is not None):
         raise click.UsageError("--cache says where the newest bank is; it needs no BANK or --at.")
     if at is None:
-        for name in ("hfov", "slices", "cells", "projection", "bands"):
+        for name in (*FRUSTUM_OPTIONS, "cells"):
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name} belongs to --at; a bank has its own.")
     tile = plot.read_aerial(aerial) if aerial is not None else None
     seen = (
-        view.view_at(at, Frustum(hfov, slices, projection, bands), cells)
-        if at is not None
-        else view.view_of_bank(bank, pose, cache)
+        view.view_at(at, frustum, cells) if at is not None else view.view_of_bank(bank, pose, cache)
     )
     path = Path(out or f"{seen.name}.{'gif' if animate else 'png'}")
     if animate:

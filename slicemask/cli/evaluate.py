@@ -4,7 +4,9 @@ from typing import Any
 
 import click
 
+from slicemask import Frustum
 from slicemask.cli.options import (
+    FRUSTUM_OPTIONS,
     NumberList,
     Numbers,
     as_json_option,
@@ -119,6 +121,7 @@ def benchmark(
     batch_size: int,
     runs: int,
     as_json: bool,
+    frustum: Frustum,
     **settings: Any,
 ) -> None:
     """Time encoding, aggregation and scoring.
@@ -136,15 +139,14 @@ def benchmark(
         "runs": runs,
     }
     if run is not None:
-        for name in settings:
+        for name in (*FRUSTUM_OPTIONS, *settings):
             if ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
                 raise click.UsageError(f"--{name.replace('_', '-')} cannot be changed in a run.")
         with status_line("timing"):
             timings = time_run(run, grid=grid, **shared)
     else:
-        settings["hfov_deg"] = settings.pop("hfov")
         with progress_bar("building", "poses") as progress:
             timings = time_settings(
-                grid=grid or "21x21x64", **settings, **shared, progress=progress
+                grid=grid or "21x21x64", frustum=frustum, **settings, **shared, progress=progress
             )
     print_result(as_json, timings.as_dict(), timings.report())

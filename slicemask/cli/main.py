@@ -26,6 +26,7 @@ _COMMANDS = {
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
     "app": ("app", "Serve a page to look at: slices of a camera, or answers of a trained RUN."),
+    "pack": ("pack", "Write what predicting with a trained RUN takes into a small folder."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 

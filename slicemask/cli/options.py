@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slicemask import Frustum
+
 log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:  # generic in the newest click alone
@@ -81,15 +83,21 @@ cache_option = click.option(
 )
 
 
+FRUSTUM_OPTIONS = ("hfov", "slices", "projection", "intrinsics", "bands")
+
+
 def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --hfov, --slices, --projection and --bands; values that look like slips are logged."""
+    """Add the options `FRUSTUM_OPTIONS`, which the command gets as one argument ``frustum``.
+
+    Values that look like slips are logged.
+    """
 
     @functools.wraps(command)
-    def with_warnings(*arguments: Any, **options: Any) -> Any:
-        _warn_of_hfov(click.get_current_context(), options["hfov"])
-        return command(*arguments, **options)
+    def with_frustum(*arguments: Any, **options: Any) -> Any:
+        given = {name: options.pop(name) for name in FRUSTUM_OPTIONS}
+        return command(*arguments, frustum=_frustum(**given), **options)
 
-    decorated: Callable[..., Any] = with_warnings
+    decorated: Callable[..., Any] = with_frustum
     for option in reversed(
         (
             click.option(
@@ -111,6 +119,12 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 help="Equal azimuth ranges, or equal widths in a pinhole image.",
             ),
             click.option(
+                "--intrinsics",
+                type=Numbers("fx,cx,width"),
+                help="Focal length, column of the principal point and image width of a pinhole "
+                "camera, in pixels, in place of --hfov.",
+            ),
+            click.option(
                 "--bands",
                 type=NumberList("0.08,0.17,0.33"),
                 default="",
@@ -123,13 +137,28 @@ def frustum_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return decorated
 
 
+def _frustum(
+    hfov: float, slices: int, projection: Any, intrinsics: Any, bands: tuple[float, ...]
+) -> Frustum:
+    ctx = click.get_current_context()
+    if intrinsics is None:
+        _warn_of_hfov(ctx, hfov)
+        return Frustum(hfov, slices, projection, bands)
+    if _is_given(ctx, "hfov"):
+        raise click.UsageError("Give only one of --hfov and --intrinsics, which tells the HFoV.")
+    if _is_given(ctx, "projection") and projection != "pinhole":
+        raise click.UsageError("--intrinsics are those of a pinhole camera: --projection pinhole.")
+    fx, cx, width = intrinsics
+    return Frustum.from_intrinsics(fx, cx, width, slices, bands)
+
+
+def _is_given(ctx: click.Context, name: str) -> bool:
+    return ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+
+
 def _warn_of_hfov(ctx: click.Context, hfov_deg: float) -> None:
     """Warn of a field of view that is valid and almost surely not what was meant."""
-    given = {
-        name: ctx.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
-        for name in ("hfov", "projection")
-    }
-    if not given["hfov"] or not 0.0 < hfov_deg < 180.0:
+    if not _is_given(ctx, "hfov") or not 0.0 < hfov_deg < 180.0:
         return
     if hfov_deg <= 2.0 * math.pi + 1e-3 and hfov_deg % 1.0 != 0.0:
         log.warning(
@@ -137,7 +166,7 @@ def _warn_of_hfov(ctx: click.Context, hfov_deg: float) -> None:
             hfov_deg,
             math.degrees(hfov_deg),
         )
-    elif not given["projection"] and 360.0 % hfov_deg != 0.0:
+    elif not _is_given(ctx, "projection") and 360.0 % hfov_deg != 0.0:
         # Parts of a panorama are whole fractions of it; cameras have odd fields of view.
         log.warning(
             "--hfov is %g degrees, as of a camera, and slices are taken as of a panorama, of equal "

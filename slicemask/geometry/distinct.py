@@ -174,7 +174,8 @@ def distinct_slices(
         shape, half_deg, slice_of = shape[whole.first], half_deg[whole.first], row[slice_of]
         # A slice that ends within its first band is a slice without bands.
         anchors = np.where(whole.within_first, shape == Shape.WEDGE, shape != Shape.EMPTY)
-    orbit, rank = _orbits(slices.of(anchors), numbers=numbers)
+    mirrored = _mirrored_numbers(frustum) if numbers > 1 else None
+    orbit, rank = _orbits(slices.of(anchors), mirrored=mirrored)
     free = ~anchors
     du, dv = direction(half_deg[free], np)
     offset = du * (0.5 - slices.sectors[1][free]) - dv * (0.5 - slices.sectors[0][free])
@@ -430,12 +431,31 @@ class _View:
         )
 
 
-def _orbits(slices: _Slices, place: Any = 0, numbers: int = 1) -> tuple[SectorOrbit, Codes]:
+def _mirrored_numbers(frustum: Frustum) -> Codes:
+    """The number of each slice's mirror image about the heading, int64 [N].
+
+    It is that of the slice that has the image's edges or, around a principal point off the centre,
+    where none need have them, one from N up.
+    """
+    offsets = frustum.edge_offsets_deg()
+    mirrored = -offsets[::-1]
+    numbers = np.arange(frustum.slices)
+    image = frustum.slices - 1 - numbers  # which of the mirrored slices each one's image is
+    at = np.searchsorted(offsets[1:], mirrored[image] + 1e-9)
+    at = np.minimum(at, frustum.slices - 1)
+    equal = same_azimuth(offsets[at], mirrored[image])
+    equal &= same_azimuth(offsets[at + 1], mirrored[image + 1])
+    return np.where(equal, at, frustum.slices + numbers)
+
+
+def _orbits(
+    slices: _Slices, place: Any = 0, mirrored: Codes | None = None
+) -> tuple[SectorOrbit, Codes]:
     """Bring slices under the eight symmetries together; give also each slice's number among them.
 
     Of a slice's eight images, the one with the smallest codes stands for all of them. ``place`` [S]
-    separates slices further, by what no symmetry changes. The slices' own numbers are below
-    ``numbers``.
+    separates slices further, by what no symmetry changes. The slices' own numbers become those
+    ``mirrored`` [N] where a symmetry mirrors them.
     """
     u, v, left_deg, right_deg, heading_deg = slices.sectors
     p, q, left, right, number = slices.codes
@@ -448,11 +468,13 @@ def _orbits(slices: _Slices, place: Any = 0, numbers: int = 1) -> tuple[SectorOr
     span = 2 * int(max(np.abs(p).max(), np.abs(q).max())) + 1
     best_place = best_edges = np.full(len(u), np.iinfo(np.int64).max)
     best = np.zeros(len(u), dtype=np.int64)
-    mirrored = np.where(number < 0, number, numbers - 1 - number)
+    mirrored = np.zeros(1, dtype=np.int64) if mirrored is None else mirrored
+    numbers = int(mirrored.max()) + 1
+    mirrored_number = np.where(number < 0, number, mirrored[number])
     for one, symmetry in enumerate(SYMMETRIES):
         image_p, image_q = symmetry.places(p, q)
         image_left, image_right = symmetry.slices(left, right, quarter)
-        image_number = number if symmetry.azimuth_map[0] > 0 else mirrored
+        image_number = number if symmetry.azimuth_map[0] > 0 else mirrored_number
         image_place = image_p * span + image_q
         image_edges = image_left % full_circle * full_circle + image_right % full_circle
         image_edges = image_edges * (numbers + 1) + image_number

@@ -29,6 +29,10 @@ class Frustum:
     projection : {"equirectangular", "pinhole"}
         Equal azimuth ranges (SliceMatch, CVPR 2023, section 3), or equal widths in the image of
         a pinhole camera.
+    left_deg : float or None
+        Azimuth of the image's left edge from the heading, degrees clockwise, of a pinhole camera
+        whose principal point is off the centre: the heading is then the optical axis's, and not
+        that of the image's centre column. None for -hfov_deg / 2. See `from_intrinsics`.
     bands : tuple of float
         Ranges r_1 < ... < r_{B-1}, in shares of the tile's side, that cut each slice into B bands
         (ours, not the paper's), the nearest first and the last one without end. Of an
@@ -47,12 +51,15 @@ class Frustum:
     [-45.0, 0.0, 45.0]
     >>> Frustum(bands=(0.1, 0.25)).band_count
     3
+    >>> Frustum.from_intrinsics(fx=100, cx=0, width=100, slices=1).edge_offsets_deg().tolist()
+    [0.0, 45.0]
     """
 
     hfov_deg: float = 360.0
     slices: int = 16
     projection: Projection = "equirectangular"
     bands: tuple[float, ...] = ()
+    left_deg: float | None = None
 
     def __post_init__(self) -> None:
         if self.projection not in get_args(Projection):
@@ -74,6 +81,77 @@ class Frustum:
         object.__setattr__(self, "hfov_deg", float(self.hfov_deg))
         object.__setattr__(self, "slices", int(self.slices))
         object.__setattr__(self, "bands", _checked_bands(self.bands))
+        if self.left_deg is not None:
+            self._check_left(self.left_deg)
+
+    def _check_left(self, left_deg: float) -> None:
+        if not is_real(left_deg):
+            raise SpecError(f"left_deg is {left_deg!r}; it must be an azimuth in degrees, or None")
+        if left_deg == -self.hfov_deg / 2.0:
+            object.__setattr__(self, "left_deg", None)
+            return
+        if self.projection != "pinhole":
+            raise SpecError(
+                f"left_deg is {left_deg:g}; only a pinhole camera has a principal point: leave it "
+                "out, since other images are centred on their headings"
+            )
+        right_deg = left_deg + self.hfov_deg
+        if not (left_deg > -90.0 and right_deg < 90.0):
+            raise SpecError(
+                f"the image reaches from {left_deg:g} to {right_deg:g} degrees of the optical "
+                "axis; a pinhole camera sees less than 90 to either side"
+            )
+        object.__setattr__(self, "left_deg", float(left_deg))
+
+    @classmethod
+    def from_intrinsics(
+        cls, fx: float, cx: float, width: float, slices: int = 16, bands: tuple[float, ...] = ()
+    ) -> "Frustum":
+        """Return the frustum of a pinhole camera, given its intrinsic parameters.
+
+        The slices are equal parts of the image's width, from its left edge, atan(-cx / fx) off the
+        optical axis, to its right edge, atan((width - cx) / fx).
+
+        Parameters
+        ----------
+        fx : float
+            Focal length, in pixels.
+        cx : float
+            Column of the principal point, in pixels from the image's left edge. It may lie outside
+            the image, as after a crop.
+        width : float
+            Of the image, in pixels.
+        slices, bands
+            As for `Frustum`.
+
+        Raises
+        ------
+        SpecError
+            If a value is out of its range.
+        """
+        for name, value, least in (("fx", fx, 0.0), ("cx", cx, -math.inf), ("width", width, 0.0)):
+            if not is_real(value) or value <= least:
+                above = "" if least else " above 0"
+                raise SpecError(f"{name} is {value!r}; it must be a number of pixels{above}")
+        if cx == width / 2.0:
+            return cls(math.degrees(2.0 * math.atan(cx / fx)), slices, "pinhole", bands)
+        left_deg = math.degrees(math.atan(-cx / fx))
+        right_deg = math.degrees(math.atan((width - cx) / fx))
+        return cls(right_deg - left_deg, slices, "pinhole", bands, left_deg)
+
+    @property
+    def right_deg(self) -> float:
+        """Azimuth of the image's right edge from the heading, degrees clockwise."""
+        half = self.hfov_deg / 2.0
+        return half if self.left_deg is None else self.left_deg + self.hfov_deg
+
+    @property
+    def principal_point(self) -> float:
+        """Column of the optical axis, in shares of the image's width: 0.5 where it is centred."""
+        if self.left_deg is None:
+            return 0.5
+        left, right = (math.tan(math.radians(a)) for a in (self.left_deg, self.right_deg))
+        return -left / (right - left)
 
     @property
     def band_count(self) -> int:
@@ -88,13 +166,26 @@ class Frustum:
     def edge_offsets_deg(self) -> NDArray[np.float64]:
         """Azimuths of the slice edges from the heading, degrees clockwise, float64 [N + 1].
 
-        Slice n lies between offsets n and n + 1. The offsets mirror each other exactly.
+        Slice n lies between offsets n and n + 1. Around a principal point in the centre the
+        offsets mirror each other exactly.
         """
+        if self.left_deg is not None:
+            return self._uncentred_offsets_deg(self.left_deg)
         steps = 2.0 * np.arange(self.slices + 1) - self.slices  # -N, -N + 2, ..., N
         if self.projection == "pinhole":
             half_width = math.tan(math.radians(self.hfov_deg / 2.0))
             return np.asarray(np.degrees(np.arctan(steps / self.slices * half_width)))
         return np.asarray(steps * self.hfov_deg / (2.0 * self.slices))
+
+    def _uncentred_offsets_deg(self, left_deg: float) -> NDArray[np.float64]:
+        left, right = (math.tan(math.radians(angle)) for angle in (left_deg, self.right_deg))
+        part = np.arange(self.slices + 1) / self.slices
+        columns = (1.0 - part) * left + part * right  # from the optical axis, focal length 1
+        # An edge on the optical axis is on it exactly: a lattice line may run along it.
+        columns[np.abs(columns) < 1e-14 * (right - left)] = 0.0
+        offsets = np.degrees(np.arctan(columns))
+        offsets[0], offsets[-1] = left_deg, self.right_deg
+        return np.asarray(offsets)
 
     def edges_deg(self, heading_deg: ArrayLike) -> NDArray[np.float64]:
         """Azimuths of the slice edges of cameras, float64 [K, N + 1], ascending in a row.

@@ -534,11 +534,19 @@ def _draw_mask(axes: "Axes", mask: Array, colour: Array, number: str) -> Any:
     return image
 
 
+def hfov_text(frustum: Frustum) -> str:
+    """What a picture says of a field of view."""
+    angles = f"{frustum.hfov_deg:.5g}°"
+    if frustum.left_deg is not None:
+        angles = f"{frustum.left_deg:.4g}° to {frustum.right_deg:.4g}°"
+    return f"HFoV {angles}, {frustum.projection}"
+
+
 def _subtitle(u: float, v: float, heading_deg: float, frustum: Frustum, cells: int) -> str:
     return "   ·   ".join(
         [
             f"camera at u = {u:.4g}, v = {v:.4g}, heading {heading_deg:.5g}°",
-            f"HFoV {frustum.hfov_deg:.5g}°, {frustum.projection}",
+            hfov_text(frustum),
             f"N = {frustum.slices} {'slice' if frustum.slices == 1 else 'slices'}"
             + (f" of B = {frustum.band_count} bands" if frustum.bands else ""),
             f"{cells} x {cells} cells",

@@ -21,6 +21,7 @@ from slicemask.plot.figure import (
     Pose,
     check_pose,
     draw_slices,
+    hfov_text,
 )
 
 if TYPE_CHECKING:
@@ -161,8 +162,8 @@ def _frame(
     figure.text(
         left,
         1 - 0.49 / height,
-        f"u = {pose[0]:.4g}, v = {pose[1]:.4g}  ·  HFoV {frustum.hfov_deg:.5g}°, "
-        f"{frustum.projection}  ·  N = {frustum.slices}  ·  L = {masks.shape[-1]}",
+        f"u = {pose[0]:.4g}, v = {pose[1]:.4g}  ·  {hfov_text(frustum)}  ·  "
+        f"N = {frustum.slices}  ·  L = {masks.shape[-1]}",
         fontsize=7.5,
         color=MUTED,
     )

@@ -1,5 +1,6 @@
 """Equal slices and images, found by codes, against brute force over the masks themselves."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -62,6 +63,12 @@ CASES = {
     ),
     "edges, one slice": (PoseGrid(4, 4, 12, places="endpoints"), Frustum(250, 1)),
     "pinhole": (PoseGrid(4, 4, 16), Frustum(81.5, 3, "pinhole")),
+    "pinhole, the axis off the centre": (
+        PoseGrid(4, 4, 16), Frustum.from_intrinsics(math.pi, 1.9, 5.0, 3),
+    ),
+    "pinhole, the axis on the image's edge, and headings a slice apart": (
+        PoseGrid(3, 3, 8, places="endpoints"), Frustum.from_intrinsics(1.0, 0.0, 1.0, 1),
+    ),
     "extent off the centre": (PoseGrid(3, 4, 8, extent=(0.1, 0.2, 0.5, 0.9)), Frustum(360, 8)),
 }  # fmt: skip
 BANDED_CASES = {
@@ -89,6 +96,21 @@ BANDED_CASES = {
     ),
     "pinhole with headings a slice apart": (
         PoseGrid(3, 3, 24), Frustum(90, 2, "pinhole", (0.25,)),
+    ),
+    "pinhole, the axis off the centre": (
+        PoseGrid(4, 4, 16, extent=(0.1, 0.2, 0.73, 0.91)),
+        Frustum.from_intrinsics(1.0, 0.6, 1.7, 3, (0.1, 0.35)),
+    ),
+    "pinhole, some of whose slices mirror one another": (
+        PoseGrid(4, 4, 8, extent=(0.1, 0.2, 0.73, 0.91)),
+        Frustum.from_intrinsics(1.0, 0.5, 1.5, 3, (0.1, 0.35)),
+    ),
+    "pinhole, the axis on the image's edge": (
+        PoseGrid(3, 3, 8, extent=(0.1, 0.2, 0.73, 0.91)),
+        Frustum.from_intrinsics(1.0, 0.0, 1.0, 2, (0.25,)),
+    ),
+    "pinhole, the axis in the middle of a slice": (
+        PoseGrid(4, 4, 16), Frustum.from_intrinsics(1.0, 0.5, 2.0, 2, (0.25,)),
     ),
     "pinhole on edges": (
         PoseGrid(3, 3, 8, places="endpoints"), Frustum(90, 2, "pinhole", (0.25,)),
@@ -120,6 +142,16 @@ def test_equal_masks_are_one_row_and_rows_expand_to_the_masks(case):
         for mask in expected.reshape(-1, CELLS, CELLS) + 0.0  # + 0.0: no negative zeros
     }
     assert sectors == len(orbits)
+
+
+def test_slices_that_mirror_one_another_about_the_axis_are_computed_once():
+    # Slices 0 and 1 of three mirror each other; nothing mirrors slice 2.
+    frustum = Frustum.from_intrinsics(math.pi, 1.0, 3.0, 3, (0.1, 0.3))
+    poses = np.array([[0.3, 0.1, 20.0], [0.7, 0.1, 340.0], [0.1, 0.7, 290.0]])
+    masks, rows, sectors = _reduced(poses, frustum)
+    assert np.abs(masks - slice_masks(poses, frustum, CELLS, "rays")).max() <= 1e-9
+    assert sectors == 2 + 2 + 1  # slices 0 and 1, slice 2 in two senses, and the empty mask
+    assert rows == 3 * 3 * 3 - np.count_nonzero(~masks.any(axis=(-2, -1))) + 1
 
 
 def test_a_shuffled_list_of_the_same_poses_reduces_as_the_grid_does():

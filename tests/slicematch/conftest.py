@@ -26,7 +26,7 @@ VIGOR_METRES_PER_PIXEL = {
 }
 KITTI_METRES_PER_PIXEL = 156543.03392 * np.cos(np.radians(49.015)) / 2**18 / 2
 KITTI_FOCAL_PIXELS = 721.5377
-KITTI_HFOV_DEG = float(np.degrees(2 * np.arctan(1242 / 2 / KITTI_FOCAL_PIXELS)))
+KITTI_CENTRE = (609.5593, 172.854)
 CAMERA_AHEAD_M, CAMERA_RIGHT_M = 1.08, 0.26
 
 
@@ -40,12 +40,15 @@ class VigorTree:
 
 @dataclass(frozen=True)
 class KittiTree:
-    """A KITTI tree as written: `frames` lists the paths, `tests` their (sx, sy, theta)."""
+    """A KITTI tree as written: `frames` lists the paths, `tests` their (sx, sy, theta).
+
+    The images reach from the first to the second of `edges_deg`, azimuths from the optical axis.
+    """
 
     root: Path
     frames: list[str]
     tests: np.ndarray
-    hfov_deg: float
+    edges_deg: tuple[float, float]
 
 
 @pytest.fixture(scope="session")
@@ -196,8 +199,9 @@ def write_kitti_tree(
         folder.mkdir(parents=True)
     span_m = tile_pixels * KITTI_METRES_PER_PIXEL
     height, width = ground_size
-    across = 2 * (np.arange(width) + 0.5) / width - 1
-    azimuth_deg = np.degrees(np.arctan(across * np.tan(np.radians(KITTI_HFOV_DEG / 2))))
+    column = 1242 * (np.arange(width) + 0.5) / width
+    principal_column = KITTI_CENTRE[0] if calib else 621
+    azimuth_deg = np.degrees(np.arctan((column - principal_column) / KITTI_FOCAL_PIXELS))
     ranges = range_m / span_m * (1 - (np.arange(height) + 0.5) / height)
     frames = []
     for number in range(pairs):
@@ -214,7 +218,8 @@ def write_kitti_tree(
         (oxts / f"{frame}.txt").write_text(" ".join(f"{x:.13f}" for x in fields) + "\n")
         frames.append(f"{drive}/{frame}.png")
     if calib:
-        row = f"{KITTI_FOCAL_PIXELS} 0 609.5593 44.85728 0 {KITTI_FOCAL_PIXELS} 172.854 0.2163791"
+        focal, (cx, cy) = KITTI_FOCAL_PIXELS, KITTI_CENTRE
+        row = f"{focal} 0 {cx} 44.85728 0 {focal} {cy} 0.2163791"
         (root / "raw_data" / date / "calib_cam_to_cam.txt").write_text(
             "calib_time: 09-Jan-2012 13:57:47\n"
             "S_rect_02: 1.242000e+03 3.750000e+02\n"
@@ -226,7 +231,8 @@ def write_kitti_tree(
     lines = [f"{frame} {sx} {sy} {t}" for frame, (sx, sy, t) in zip(frames, tests, strict=True)]
     for name in ("test1_files.txt", "test2_files.txt"):
         (root / name).write_text("\n".join(lines) + "\n")
-    return KittiTree(root, frames, tests, KITTI_HFOV_DEG)
+    edges = ((column - principal_column) / KITTI_FOCAL_PIXELS for column in (0, 1242))
+    return KittiTree(root, frames, tests, tuple(np.degrees(np.arctan(list(edges)))))
 
 
 # A tiny run, trained for one epoch: its answers are poor, and as good as any to check.

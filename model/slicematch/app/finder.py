@@ -12,6 +12,7 @@ import panel as pn
 from PIL import Image
 
 from slicemask.app.controls import PoseControls
+from slicemask.app.locks import when_locked
 from slicemask.app.page import HELP, asked_for_dark, page
 from slicemask.app.pixels import blend
 from slicemask.app.text import OUTLINED, Notice
@@ -88,8 +89,8 @@ class Finder:
         )  # fmt: skip
         self.overlays = Overlays(self.view.plot)
         self.ground_view = GroundView(localizer.config, asked_for_dark())
-        self.priors = Priors(self._find, self.view.set_mode)
-        self.pose_controls = PoseControls(self.view.move_to)
+        self.priors = Priors(self._find, self._set_mode)
+        self.pose_controls = PoseControls(self._go)
         self.said = pn.pane.HTML(sizing_mode="stretch_width")
         self.answer = pn.pane.HTML(
             "Choose an example, or drop a ground image and an aerial tile.",
@@ -99,7 +100,7 @@ class Finder:
         self.coloured_by = pn.widgets.RadioButtonGroup(
             options=[_CONTRIBUTION, _DIFFERENCE], sizing_mode="stretch_width"
         )
-        self.coloured_by.param.watch(lambda event: self._show_candidate(), "value")
+        self.coloured_by.param.watch(lambda event: when_locked(self._show_candidate), "value")
         self.heat = pn.widgets.Checkbox(name="Heat map", value=True)
         self.heat.param.watch(self._heat_changed, "value")
         self.resolution = pn.widgets.FloatInput(
@@ -185,7 +186,8 @@ class Finder:
 
     def _find(self) -> None:
         """Find the camera, once, with what is given now."""
-        if self.ground is None or self.tile is None:
+        ground, tile = self.ground, self.tile
+        if ground is None or tile is None:
             return
         if self._busy:
             self._again = True
@@ -199,7 +201,7 @@ class Finder:
             found: Match | SlicemaskError
             try:
                 found = await asyncio.to_thread(
-                    match, self.localizer, self.ground, self.tile,
+                    match, self.localizer, ground, tile,
                     metres_per_pixel=self.resolution.value or None,
                     heading_prior=self.priors.heading, place_prior=self.priors.place,
                 )  # fmt: skip
@@ -255,8 +257,14 @@ class Finder:
         button = pn.widgets.Button(
             name=f"Mode {number + 1}: {mode.probability:.0%}", width=130, **OUTLINED
         )
-        button.on_click(lambda event: self.view.move_to(_as_pose(mode.pose)))
+        button.on_click(lambda event: self._go(_as_pose(mode.pose)))
         return button
+
+    def _go(self, pose: Pose) -> None:
+        when_locked(lambda: self.view.move_to(pose))
+
+    def _set_mode(self, mode: str) -> None:
+        when_locked(lambda: self.view.set_mode(mode))
 
     def _moved(self, pose: Pose, pointer: Pointer) -> None:
         if self.match is not None and pose != getattr(self, "_shown", None):
@@ -306,7 +314,7 @@ class Finder:
             self._find()
 
     def _heat_changed(self, event: Any) -> None:
-        self.overlays.heat_map.visible = event.new
+        when_locked(lambda: self.overlays.show_heat(event.new))
 
 
 def _as_pose(pose: Any) -> Pose:

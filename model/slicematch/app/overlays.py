@@ -32,7 +32,7 @@ class Overlays:
         self._modes = ColumnDataSource({name: [] for name in ("x", "y", "x1", "y1", "text")})
         self._ellipse = ColumnDataSource({"x": [], "y": []})
         self._truth = ColumnDataSource({name: [] for name in ("x", "y", "x1", "y1")})
-        self.heat_map = plot.image_rgba("image", "x", "y", "dw", "dh", source=self._heat)
+        self._heat_map = plot.image_rgba("image", "x", "y", "dw", "dh", source=self._heat)
         plot.line("x", "y", source=self._ellipse, line_color="white", line_width=5)
         plot.line("x", "y", source=self._ellipse, line_color=_MODE, line_width=2)
         for source, colour in ((self._truth, _TRUTH), (self._modes, _MODE)):
@@ -64,6 +64,10 @@ class Overlays:
         self._modes.data = {**_arrows(poses), "text": numbers}
         outline = _ellipse_points(estimate)
         self._ellipse.data = {"x": outline[:, 0], "y": outline[:, 1]}
+
+    def show_heat(self, visible: bool) -> None:
+        """Show the heat map, or hide it."""
+        self._heat_map.visible = visible
 
     def show_truth(self, pose: tuple[float, float, float] | None) -> None:
         """Show the true pose, where it is known."""

@@ -40,7 +40,7 @@ class Priors:
         self._mode = pn.widgets.RadioButtonGroup(options=list(_MODES), sizing_mode="stretch_width")
         self._mode.param.watch(lambda event: set_mode(_MODES[event.new]), "value")
         self._clear = pn.widgets.Button(name="Clear priors", width=120, **OUTLINED)
-        self._clear.on_click(lambda event: (self.clear(), on_change()))
+        self._clear.on_click(self._cleared)
         self._said = pn.pane.HTML("", sizing_mode="stretch_width")
         self._show()
 
@@ -66,6 +66,10 @@ class Priors:
         elif mode == "arc":
             self.heading = arc(start, end, camera[:2])
         self._show()
+        self._on_change()
+
+    def _cleared(self, event: Any) -> None:
+        self.clear()
         self._on_change()
 
     def _show(self) -> None:

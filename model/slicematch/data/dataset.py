@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, default_collate
 
+from slicemask import Frustum
 from slicemask.errors import ImageError
 from slicemask.geometry.symmetry import SYMMETRIES, Symmetry
 from slicematch.data.augmentation import recolour
@@ -145,8 +146,9 @@ class PoseDataset(Dataset[Sample | None]):
     ----------
     names : list of str
         One for each sample; they may repeat.
-    hfov_deg : float
-        Horizontal field of view of the ground images.
+    hfov_deg, left_deg, horizon : float
+        Horizontal field of view of the ground images, the azimuth of their left edge (None for one
+        of half the field of view), and where their horizon is: see `DataConfig`.
     aerial_size : int
         A, in pixels.
     heading_prior : (centre, half width) or None
@@ -181,6 +183,7 @@ class PoseDataset(Dataset[Sample | None]):
         self._source = config.open(cast(Part, part))
         self.names = self._source.names
         self.hfov_deg = self._source.hfov_deg
+        self.left_deg, self.horizon = self._source.left_deg, self._source.horizon
         self.tile_metres = self._source.tile_metres
         self.left_out = self._source.left_out
         if self.left_out:
@@ -194,8 +197,16 @@ class PoseDataset(Dataset[Sample | None]):
                 f"the {part} part of {config.root} holds no sample; check the split, the cities "
                 f"and validation_fraction, which is {config.validation_fraction:g}"
             )
+        frustum = Frustum(self.hfov_deg, 1, config.projection, left_deg=self.left_deg)
+        self._principal_point = frustum.principal_point
         self._keys = _distinct(self.names)
-        self._symmetries = [symmetry for symmetry in SYMMETRIES if _keeps(symmetry, config)]
+        # An image whose optical axis is near its edge, or off it, has no mirror image to show.
+        central = 0.25 <= self._principal_point <= 0.75
+        self._symmetries = [
+            symmetry
+            for symmetry in SYMMETRIES
+            if _keeps(symmetry, config) and (central or symmetry.azimuth_map[0] > 0)
+        ]
         # In shared memory: workers that live on from epoch to epoch see the change.
         self._epoch = torch.zeros((), dtype=torch.int64)
         self._epoch.share_memory_()
@@ -256,7 +267,7 @@ class PoseDataset(Dataset[Sample | None]):
             return ground, aerial
         symmetry = self._symmetry(index)
         if symmetry.azimuth_map[0] < 0:
-            ground = ground.flip(-1)
+            ground = _mirrored(ground, self._principal_point)
         aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
         return recolour(ground, aerial, self._random(index, "colours"), mean, std)
 
@@ -335,6 +346,20 @@ def _distinct(names: list[str]) -> list[str]:
         distinct.append(f"{name}#{seen[name]}" if seen[name] else name)
         seen[name] += 1
     return distinct
+
+
+def _mirrored(ground: torch.Tensor, principal_point: float) -> torch.Tensor:
+    """A ground image [3, H, W] mirrored about its optical axis, with which it is still aligned.
+
+    Columns that this leaves without content are zero, the mean of normalised images.
+    """
+    width = ground.shape[-1]
+    shift = round((2.0 * principal_point - 1.0) * width)
+    mirrored = torch.zeros_like(ground)
+    kept = max(0, width - abs(shift))
+    into, out_of = max(0, shift), max(0, -shift)
+    mirrored[..., into : into + kept] = ground.flip(-1)[..., out_of : out_of + kept]
+    return mirrored
 
 
 def _keeps(symmetry: Symmetry, config: DataConfig) -> bool:

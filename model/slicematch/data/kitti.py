@@ -8,14 +8,16 @@ Satellite Image" (LM), CVPR 2022.
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from slicemask.errors import ImageError
-from slicemask.images import check_aspect, read_aerial, read_image, resize
-from slicematch.data.elevations import check_elevations, crop_elevations
+from slicemask import Frustum
+from slicemask.errors import ImageError, SpecError
+from slicemask.images import read_aerial, read_image, resize
+from slicematch.data.elevations import check_elevations, frame_ground
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.text import parse_number, read_lines
@@ -179,8 +181,19 @@ class KittiSource(Source):
         chosen = config.choose(part, len(paths))
         self.names = [paths[k] for k in chosen]
         self.tile_metres = np.full(len(chosen), SPAN_M)
-        self.hfov_deg = find_hfov_deg(self._root)
-        check_elevations(config.elevations, config.projection, self.hfov_deg, config.ground_aspect)
+        if config.hfov_deg is None:
+            self._view = find_view(self._root)
+        else:
+            self._view = CameraView(config.hfov_deg, config.left_deg, config.horizon)
+        self.hfov_deg, self.left_deg, self.horizon = self._view
+        check_elevations(
+            config.elevations,
+            config.projection,
+            self.hfov_deg,
+            config.ground_aspect,
+            self.left_deg,
+            self.horizon,
+        )
 
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:
         """The true pose of a sample; see `Source.pose`."""
@@ -191,10 +204,13 @@ class KittiSource(Source):
         drive, frame = self.names[index].rsplit("/", 1)
         raw = self._root / "raw_data" / drive
         ground_file = raw / "image_02" / "data" / frame
-        ground = read_image(ground_file)
-        check_aspect(ground, ground_file, self.config.ground_aspect, "a ground image")
-        ground = crop_elevations(
-            ground, self.config.elevations, self.config.projection, self.hfov_deg
+        config = self.config
+        ground = frame_ground(
+            read_image(ground_file),
+            config.ground_aspect,
+            config.ground_fit,
+            config.elevations,
+            *self._view,
         )
         tile_file = self._root / "satmap" / drive / frame
         tile = read_aerial(tile_file)
@@ -288,11 +304,30 @@ def read_heading(path: str | Path) -> float:
     return heading
 
 
-def find_hfov_deg(root: str | Path) -> float:
-    """The ground images' horizontal field of view: the median of the days' calibration files.
+class CameraView(NamedTuple):
+    """What a pinhole camera shows, whatever its images' size.
 
-    It differs by up to 0.4 degrees from day to day (81.4 to 81.8); one value serves all, since one
-    bank of masks does. Without any calibration file it is 81.5.
+    Attributes
+    ----------
+    hfov_deg : float
+        Horizontal field of view.
+    left_deg : float or None
+        Azimuth of the image's left edge from the optical axis; None for an axis in the centre.
+    horizon : float
+        Where the optical axis is, from the image's top, as a fraction of its height.
+    """
+
+    hfov_deg: float
+    left_deg: float | None = None
+    horizon: float = 0.5
+
+
+def find_view(root: str | Path) -> CameraView:
+    """What the ground images show: the median of the days' calibration files.
+
+    The field of view differs by up to 0.4 degrees from day to day (81.4 to 81.8), the principal
+    point by some pixels; one value serves all, since one bank of masks does. Without any
+    calibration file it is 81.5, and the principal point in the centre.
 
     Raises
     ------
@@ -300,39 +335,62 @@ def find_hfov_deg(root: str | Path) -> float:
         If a calibration file has no usable ``P_rect_02``.
     """
     files = sorted(Path(root).glob("raw_data/*/calib_cam_to_cam.txt"))
-    return float(np.median([read_hfov_deg(file) for file in files])) if files else DEFAULT_HFOV_DEG
+    if not files:
+        return CameraView(DEFAULT_HFOV_DEG)
+    frusta, horizons = zip(*map(read_calibration, files), strict=True)
+    if all(frustum.left_deg is None for frustum in frusta):
+        hfov_deg = float(np.median([frustum.hfov_deg for frustum in frusta]))
+        return CameraView(hfov_deg, None, float(np.median(horizons)))
+    right_deg = float(np.median([frustum.right_deg for frustum in frusta]))
+    left_deg = float(np.median([frustum.right_deg - frustum.hfov_deg for frustum in frusta]))
+    return CameraView(right_deg - left_deg, left_deg, float(np.median(horizons)))
 
 
-def read_hfov_deg(path: str | Path) -> float:
-    """Read the left colour camera's horizontal field of view, in degrees, off a calibration file.
+def read_calibration(path: str | Path) -> tuple[Frustum, float]:
+    """Read the left colour camera off a calibration file.
 
-    It is 2 atan(W / 2 / f): f is the first number of ``P_rect_02``, W that of ``S_rect_02`` or,
-    without one, 1242.
+    Its focal length and principal point are the 1st, 3rd and 7th number of ``P_rect_02``, the size
+    of its images the two of ``S_rect_02`` or, without it, 1242x375.
+
+    Returns
+    -------
+    frustum : Frustum
+        Of one slice.
+    horizon : float
+        Where the optical axis is, from the image's top, as a fraction of its height.
 
     Raises
     ------
     DatasetError
-        If there is no such number or the result is no field of view.
+        If there are no such numbers, or they are no camera's.
     """
     lines = read_lines(Path(path), "the calibration file", "fetch it again")
     parts = (line.partition(":") for _, line in lines)
     rows = {key.strip(): rest.split() for key, _, rest in parts}
 
-    def first(key: str) -> float:
-        value = parse_number(rows[key][0]) if rows.get(key) else None
+    def number(key: str, position: int) -> float:
+        row = rows.get(key, [])
+        value = parse_number(row[position]) if position < len(row) else None
         if value is None:
             raise DatasetError(
-                f"{path}: {key} is {' '.join(rows.get(key, [])) or 'missing'!r}, so there is no "
-                "focal length; expected a line 'P_rect_02: ' and twelve numbers"
+                f"{path}: {key} is {' '.join(row) or 'missing'!r}, so there is no focal length and "
+                "principal point; expected a line 'P_rect_02: ' and twelve numbers"
             )
         return value
 
-    focal = first("P_rect_02")
-    width = first("S_rect_02") if "S_rect_02" in rows else 1242.0
-    hfov_deg = float(np.degrees(2 * np.arctan2(width / 2, focal)))
-    if not 0 < hfov_deg < 180:
+    width, height = 1242.0, 375.0
+    if "S_rect_02" in rows:
+        width, height = number("S_rect_02", 0), number("S_rect_02", 1)
+    focal, cx, cy = (number("P_rect_02", position) for position in (0, 2, 6))
+    try:
+        frustum = Frustum.from_intrinsics(focal, cx, width, 1)
+    except SpecError as error:
         raise DatasetError(
-            f"{path}: focal length {focal:g} and width {width:g} give a field of view of "
-            f"{hfov_deg:g} degrees; expected 81.4 to 81.8"
+            f"{path}: focal length {focal:g}, principal point {cx:g} and width {width:g} are no "
+            f"camera's ({error}); expected some 720, 610 and 1242"
+        ) from error
+    if not 0.0 < cy < height:
+        raise DatasetError(
+            f"{path}: the principal point's row is {cy:g} of {height:g}; expected some 173 of 375"
         )
-    return hfov_deg
+    return frustum, cy / height

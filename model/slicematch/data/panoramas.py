@@ -13,14 +13,17 @@ from slicemask.images import (
     ASPECT_TOLERANCE,
     MAX_PIXELS,
     Picture,
-    check_aspect,
+    has_aspect,
     name_of,
     read_image,
 )
+from slicematch.data.elevations import GroundFit
 
-# Above it, the rows of a panorama are no longer rows of equal elevation.
-MAX_TILT_DEG = 2.0
+# Above it, the rows of a panorama are no longer rows of equal elevation, and it is levelled.
+LEVEL_WITHIN_DEG = 2.0
 _NAMESPACE = "http://ns.google.com/photos/1.0/panorama/"
+# Pixels that are levelled at once, which bounds the memory of a call.
+_LEVELLED_AT_ONCE = 1 << 18
 log = logging.getLogger(__name__)
 # What has been said of panoramas in this process: once of each kind.
 _said: set[str] = set()
@@ -41,23 +44,30 @@ class Panorama(NamedTuple):
     heading_deg: float | None
 
 
-def read_panorama(source: Picture) -> Panorama:
-    """Read a panorama as a whole sphere.
+def read_panorama(source: Picture, fit: GroundFit = "crop", hfov_deg: float = 360.0) -> Panorama:
+    """Read a panorama as a whole, level sphere.
 
     If its GPano data (XMP, namespace http://ns.google.com/photos/1.0/panorama/) say that it is a
-    part of a sphere, it is pasted where it belongs and the rest is black; their heading is passed
-    on. Either is logged once.
+    part of a sphere, it is pasted where it belongs and the rest is black; if they say that it is
+    tilted by more than `LEVEL_WITHIN_DEG`, it is levelled; their heading is passed on. Each is
+    logged once.
 
     Parameters
     ----------
     source : path, PIL image or array [height, width, 3]
         As `slicemask.images.read_image` takes it. Of PIL images, ``info["xmp"]`` counts.
+    fit : {"crop", "resize"}
+        What to do with an image that is wider than twice its height and has no such data: take it
+        for a strip around the horizon, which is in its middle, and add black rows, or resize it.
+    hfov_deg : float
+        Horizontal field of view that will be used: an image that shows it and no more, from the
+        zenith to the nadir, is taken, too.
 
     Raises
     ------
     ImageError
-        If it is unreadable, not twice as wide as high, of another projection, tilted by more than
-        `MAX_TILT_DEG`, or its GPano data are inconsistent.
+        If it is unreadable, of another projection, shows more than a sphere, or its GPano data are
+        inconsistent.
     """
     image, name = read_image(source), name_of(source)
     data = _gpano(image.info.get("xmp"))
@@ -67,25 +77,89 @@ def read_panorama(source: Picture) -> Panorama:
             f"{name}: its GPano data say that its projection is {projection!r}; a panorama must be "
             "equirectangular: convert it"
         )
-    for key in ("PosePitchDegrees", "PoseRollDegrees"):
-        tilt = _number(data, key, name)
-        # A turn of nearly 360 degrees is a small one, too.
-        if tilt is not None and abs((tilt + 180) % 360 - 180) > MAX_TILT_DEG:
-            raise ImageError(
-                f"{name}: its GPano data say {key} {tilt:g}; a panorama must be level within "
-                f"{MAX_TILT_DEG:g} degrees: level it"
-            )
-    image = _whole_sphere(image, data, name)
-    check_aspect(image, name, 2.0, "a panorama")
+    # A turn of nearly 360 degrees is a small one, too.
+    pitch_deg, roll_deg = (
+        ((_number(data, f"Pose{axis}Degrees", name) or 0.0) + 180.0) % 360.0 - 180.0
+        for axis in ("Pitch", "Roll")
+    )
+    image = _fit_sphere(_whole_sphere(image, data, name), name, fit, hfov_deg)
+    if max(abs(pitch_deg), abs(roll_deg)) > LEVEL_WITHIN_DEG:
+        image = level(image, pitch_deg, roll_deg)
+        _say_once("tilt", f"{name}: is levelled, since its GPano data say that it is tilted")
     heading_deg = _number(data, "PoseHeadingDegrees", name)
+    image.info = {}
     if heading_deg is not None:
         heading_deg %= 360.0
+        # What has been done is no longer to be done when the image is read again.
+        image.info["xmp"] = f'xmlns:GPano="{_NAMESPACE}" GPano:PoseHeadingDegrees="{heading_deg}"'
         _say_once("heading", f"{name}: its GPano data say that it faces {heading_deg:g} degrees")
     return Panorama(image, heading_deg)
 
 
-def turn_panorama(image: Image.Image, heading_deg: float, size: tuple[int, int]) -> Image.Image:
-    """Turn a panorama with north at its centre so that it faces a heading, and resize it.
+def level(panorama: Image.Image, pitch_deg: float, roll_deg: float) -> Image.Image:
+    """Level a panorama of a camera that was tilted: its horizon becomes the middle row.
+
+    The camera was turned to its heading, then pitched, then rolled; the heading of the centre
+    column stays what it was.
+
+    Parameters
+    ----------
+    panorama : PIL.Image.Image
+        Equirectangular, a whole sphere, twice as wide as high.
+    pitch_deg : float
+        How far above the horizon the centre of the image looked, in degrees; below it if negative.
+        GPano's PosePitchDegrees.
+    roll_deg : float
+        How far the camera was turned clockwise about the axis through the centre of the image, as
+        seen from behind it: its right side was down, and the horizon in the image is turned
+        counter-clockwise. GPano's PoseRollDegrees.
+
+    Returns
+    -------
+    PIL.Image.Image
+        Of the same size, resampled linearly.
+    """
+    from scipy.ndimage import map_coordinates  # here, since few panoramas need it
+
+    width, height = panorama.size
+    pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
+    # Right, ahead and up in the frame of the tilted camera, for those of the level one.
+    pitched = np.array(
+        [[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]]
+    )
+    rolled = np.array(
+        [[math.cos(roll), 0, math.sin(roll)], [0, 1, 0], [-math.sin(roll), 0, math.cos(roll)]]
+    )
+    to_camera = ((pitched @ rolled).T).astype(np.float32)
+    azimuth = (2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)).astype(np.float32)
+    # The poles' rows are continued beyond them, half a turn away.
+    pixels = np.asarray(panorama)
+    beyond = np.roll(pixels[[0, -1]], width // 2, axis=1)
+    pixels = np.concatenate([beyond[:1], pixels, beyond[1:]])
+    levelled = np.empty((height, width, 3), np.uint8)
+    step = max(1, _LEVELLED_AT_ONCE // width)
+    for top in range(0, height, step):
+        rows = np.arange(top, min(top + step, height))
+        elevation = (np.pi * (0.5 - (rows + 0.5) / height)).astype(np.float32)[:, None]
+        flat = np.cos(elevation)
+        directions = np.stack(
+            np.broadcast_arrays(flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation))
+        )
+        right, ahead, up = np.tensordot(to_camera, directions, axes=1)
+        column = (np.arctan2(right, ahead) / (2 * np.pi) + 0.5) * width - 0.5
+        row = (0.5 - np.arctan2(up, np.hypot(right, ahead)) / np.pi) * height - 0.5
+        places = np.stack([row + 1.0, column])
+        for colour in range(3):
+            levelled[rows, :, colour] = np.rint(
+                map_coordinates(pixels[..., colour], places, np.float32, order=1, mode="grid-wrap")
+            )
+    return Image.fromarray(levelled)
+
+
+def turn_panorama(
+    image: Image.Image, heading_deg: float, size: tuple[int, int], hfov_deg: float = 360.0
+) -> Image.Image:
+    """Turn a panorama with north at its centre so that it faces a heading, cut and resize it.
 
     The image rolls **left** by W * heading_deg / 360 columns of its own width W. Whole columns are
     rolled and the rest goes into the resampling, so that the centre of the result faces the very
@@ -99,6 +173,8 @@ def turn_panorama(image: Image.Image, heading_deg: float, size: tuple[int, int])
         Degrees clockwise from north.
     size : (height, width)
         Of the result, in pixels.
+    hfov_deg : float
+        What is left of it, around the heading.
 
     Returns
     -------
@@ -111,8 +187,44 @@ def turn_panorama(image: Image.Image, heading_deg: float, size: tuple[int, int])
     margin = math.ceil(width / size[1]) + 2
     pixels = np.roll(np.asarray(image), -int(whole), axis=1)
     wrapped = np.pad(pixels, ((0, 0), (margin, margin), (0, 0)), mode="wrap")
-    box = (margin + rest, 0, margin + rest + width, height)
+    cut = width * (360.0 - hfov_deg) / 720.0  # at either side
+    box = (margin + rest + cut, 0, margin + rest + width - cut, height)
     return Image.fromarray(wrapped).resize(size[::-1], Image.Resampling.BILINEAR, box=box)
+
+
+def cut_hfov(image: Image.Image, hfov_deg: float) -> Image.Image:
+    """The middle columns of a panorama, to the nearest column, as wide as a field of view."""
+    cut = round(image.width * (360.0 - hfov_deg) / 720.0)
+    return image.crop((cut, 0, max(cut + 1, image.width - cut), image.height))
+
+
+def _fit_sphere(image: Image.Image, name: str, fit: GroundFit, hfov_deg: float) -> Image.Image:
+    """An image without data on which part of a sphere it shows, as a whole sphere."""
+    if has_aspect(image, 2.0):
+        return image
+    width, height = image.size
+    if has_aspect(image, hfov_deg / 180.0):
+        return _paste(image, 2 * height, height)
+    if fit == "resize":
+        return image.resize((width, max(1, round(width / 2))))
+    if height > width / 2:
+        raise ImageError(
+            f"{name}: {width}x{height} pixels; a panorama must be at least 2 times as wide as "
+            "high, since it shows 360 degrees across and no more than 180 from top to bottom: name "
+            "a whole one, or have it resized (ground_fit: resize)"
+        )
+    _say_once(
+        "strip",
+        f"{name}: is taken for a strip of a panorama around the horizon; the rest is black",
+    )
+    return _paste(image, width, round(width / 2))
+
+
+def _paste(image: Image.Image, width: int, height: int) -> Image.Image:
+    """An image in the middle of a black sphere."""
+    sphere = Image.new("RGB", (width, height))
+    sphere.paste(image, ((width - image.width) // 2, (height - image.height) // 2))
+    return sphere
 
 
 def _gpano(xmp: object) -> dict[str, str]:

@@ -3,13 +3,14 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask.geometry.frustum import Projection
+from slicematch.data.elevations import Elevations, GroundFit
 from slicematch.data.errors import DatasetError
 from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 
@@ -30,11 +31,23 @@ class DataConfig:
     heading_half_width_deg : float or None
         How far the heading may lie from `prior_centre_deg`, to either side: 0 is a known heading
         ("aligned"), None (the default) an unknown one. From 0 to 180.
+    hfov_deg : float or None
+        Horizontal field of view of the ground images, in degrees: what panoramas are cut to, around
+        their headings, and what cameras have; None for the whole panorama, or for what the data say
+        of their cameras.
+    left_deg : float or None
+        Azimuth of the left edge of a pinhole camera's images from its optical axis, which is the
+        heading; None for one in the centre. It holds where `hfov_deg` is given.
+    horizon : float
+        Where the horizon of a pinhole camera's images is, from their top, as a fraction of their
+        height. It holds where `hfov_deg` is given.
     ground_size : (height, width)
         Of the ground image as returned, in pixels.
     elevations : (lowest, highest) or None
-        Which part of the ground images is used, in degrees above the horizon, which is at half
-        their height; None for all.
+        Which part of the ground images is used, in degrees above the horizon; None for all.
+    ground_fit : {"crop", "resize"}
+        What to do with ground images of other proportions than `ground_aspect`: see
+        `slicematch.data.elevations.frame_ground` and `slicematch.data.panoramas.read_panorama`.
     aerial_size : int
         Side of the aerial image as returned, in pixels.
     image_mean, image_std : (red, green, blue)
@@ -61,8 +74,6 @@ class DataConfig:
     ----------
     projection : {"equirectangular", "pinhole"}
         Of the ground images.
-    hfov_deg : float or None
-        Horizontal field of view of all ground images; None if it is read from the data.
     ground_aspect : float
         Width over height of the ground images as they are.
     camera_height_m : float
@@ -74,7 +85,6 @@ class DataConfig:
     """
 
     projection: ClassVar[Projection]
-    hfov_deg: ClassVar[float | None] = None
     ground_aspect: ClassVar[float]
     camera_height_m: ClassVar[float]
     prior_centre_deg: ClassVar[float]
@@ -84,8 +94,12 @@ class DataConfig:
     root: str | Path
     split: Split = "same-area"
     heading_half_width_deg: float | None = None
+    hfov_deg: float | None = None
+    left_deg: float | None = None
+    horizon: float = 0.5
     ground_size: tuple[int, int]
-    elevations: tuple[float, float] | None = None
+    elevations: Elevations | None = None
+    ground_fit: GroundFit = "crop"
     aerial_size: int = 512
     image_mean: Triple = IMAGENET_MEAN
     image_std: Triple = IMAGENET_STD
@@ -100,7 +114,15 @@ class DataConfig:
         size = self.ground_size
         half_width = self.heading_half_width_deg
         fraction = self.validation_fraction
+        widest_deg = 360 if self.projection == "equirectangular" else 180
         expected = {
+            "hfov_deg": (
+                self.hfov_deg is None
+                or (isinstance(self.hfov_deg, int | float) and 0 < self.hfov_deg <= widest_deg),
+                f"a number of degrees above 0 and up to {widest_deg}",
+            ),
+            "horizon": (isinstance(self.horizon, int | float), "a fraction of the height"),
+            "ground_fit": (self.ground_fit in get_args(GroundFit), "one of crop, resize"),
             "split": (self.split in ("same-area", "cross-area"), "one of same-area, cross-area"),
             "heading_half_width_deg": (
                 half_width is None
@@ -159,6 +181,17 @@ class DataConfig:
         if half_width is None or half_width == 180:
             return None
         return self.prior_centre_deg, float(half_width)
+
+    @classmethod
+    def default_ground_size(cls, hfov_deg: float | None = None) -> tuple[int, int]:
+        """Pixels of the ground image, (height, width), for a run that names none.
+
+        Parameters
+        ----------
+        hfov_deg : float or None
+            Horizontal field of view of the run; None for the data set's.
+        """
+        return cast(tuple[int, int], cls.__dataclass_fields__["ground_size"].default)
 
     def default_extent(self) -> tuple[float, float, float, float]:
         """The part of the tile where cameras may stand.
@@ -228,6 +261,10 @@ class Source(ABC):
         Side of each aerial image on the ground, in metres.
     hfov_deg : float
         Horizontal field of view of the ground images.
+    left_deg : float or None
+        Azimuth of their left edge from the heading; None for half the HFoV to the left.
+    horizon : float
+        Where their horizon is, from the top, as a fraction of their height.
     left_out : int
         Labels that give no sample because the camera stands off its tile.
     headings_deg : float64 [n] or None
@@ -240,6 +277,8 @@ class Source(ABC):
     names: list[str]
     tile_metres: NDArray[np.float64]
     hfov_deg: float
+    left_deg: float | None = None
+    horizon: float = 0.5
     left_out: int = 0
     headings_deg: NDArray[np.float64] | None = None
     labels: NDArray[np.intp] | None = None

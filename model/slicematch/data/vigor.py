@@ -30,6 +30,8 @@ METRES_PER_PIXEL = {
 }
 TILE_PIXELS = 640
 PANORAMA_COLUMNS = 2048
+# Widths of ground images are multiples of it, which the encoders' strides divide.
+_COLUMNS = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +57,6 @@ class VigorConfig(DataConfig):
     """
 
     projection = "equirectangular"
-    hfov_deg = 360.0
     ground_aspect = 2.0
     camera_height_m = 2.5
     prior_centre_deg = 0.0
@@ -63,6 +64,7 @@ class VigorConfig(DataConfig):
     test_grid = "21x21x64"
 
     ground_size: tuple[int, int] = (320, 640)
+    hfov_deg: float | None = 360.0
     labels: str = "corrected"
     cities: tuple[str, ...] | None = None
 
@@ -73,6 +75,13 @@ class VigorConfig(DataConfig):
             for city in self.cities:
                 if city not in CITIES:
                     raise DatasetError(f"city is {city!r}; it must be one of {', '.join(CITIES)}")
+
+    @classmethod
+    def default_ground_size(cls, hfov_deg: float | None = None) -> tuple[int, int]:
+        """The paper's, with as many pixels a degree: see `DataConfig.default_ground_size`."""
+        height, width = cls.ground_size
+        columns = width * (360.0 if hfov_deg is None else hfov_deg) / 360.0
+        return height, max(1, round(columns / _COLUMNS)) * _COLUMNS
 
     def open(self, part: Part) -> "VigorSource":
         """Open the samples of a part; see `DataConfig.open`."""
@@ -148,7 +157,8 @@ class VigorSource(Source):
     """VIGOR's positive pairs: a panorama and the tile that it was taken in, north up.
 
     The panorama faces the sample's heading: where the heading is unknown, one is drawn, on whole
-    columns of a 2048-column panorama, and the panorama is rolled left by as much.
+    columns of a 2048-column panorama, and the panorama is rolled left by as much. Then it is cut to
+    the HFoV around its centre.
 
     Parameters
     ----------
@@ -169,10 +179,9 @@ class VigorSource(Source):
         If a label file is missing or broken.
     """
 
-    hfov_deg = 360.0
-
     def __init__(self, config: VigorConfig, part: Part) -> None:
         self.config = config
+        self.hfov_deg = float(config.hfov_deg or 360.0)
         root = Path(config.root)
         pairs, places, metres, numbers = [], [], [], []
         for city in _cities(config, part):
@@ -204,14 +213,14 @@ class VigorSource(Source):
     def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
         """The images of a sample; see `Source.images`."""
         panorama_file, aerial_file = self._files[index]
-        panorama = read_panorama(panorama_file)
+        panorama = read_panorama(panorama_file, self.config.ground_fit)
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
         rotation_deg = self._heading_deg(index, random) - (panorama.heading_deg or 0.0)
         cropped = crop_elevations(
             panorama.image, self.config.elevations, self.config.projection, self.hfov_deg
         )
-        ground = turn_panorama(cropped, rotation_deg, self.config.ground_size)
+        ground = turn_panorama(cropped, rotation_deg, self.config.ground_size, self.hfov_deg)
         return ground, resize(aerial, (self.config.aerial_size, self.config.aerial_size))
 
     def _heading_deg(self, index: int, random: np.random.Generator) -> float:

@@ -135,7 +135,7 @@ def draw_estimate(
             fontsize=size, fontweight=weight, color=_INK, va="center",
         )  # fmt: skip
     if pixels is not None:
-        _draw_ground(place(_LEFT, _BOTTOM, _SIDE, below - 0.12), pixels, frustum.slices)
+        _draw_ground(place(_LEFT, _BOTTOM, _SIDE, below - 0.12), pixels, frustum)
     return figure
 
 
@@ -213,14 +213,15 @@ def _draw_curve(axes: Axes, values: NDArray[np.float64], **style: Any) -> None:
     axes.step(ordered, np.arange(len(ordered)) / len(values), where="post", **style)
 
 
-def _draw_ground(axes: Axes, ground: NDArray[np.uint8], slices: int) -> None:
-    """The ground image between the slices' edges, with its centre column marked."""
+def _draw_ground(axes: Axes, ground: NDArray[np.uint8], frustum: Frustum) -> None:
+    """The ground image between the slices' edges, with the column of its heading marked."""
     height, width = ground.shape[:2]
     axes.imshow(ground)
     axes.set_anchor("W")
-    for edge in np.arange(1, slices) * width / slices - 0.5:
+    for edge in np.arange(1, frustum.slices) * width / frustum.slices - 0.5:
         axes.axvline(edge, color="white", linewidth=0.8, alpha=0.8)
-    axes.plot(width / 2 - 0.5, height - 1, "^", color=_ESTIMATE, markeredgecolor="white",
+    axis = frustum.principal_point * width - 0.5
+    axes.plot(axis, height - 1, "^", color=_ESTIMATE, markeredgecolor="white",
               markersize=9, clip_on=False)  # fmt: skip
     axes.set(xticks=[], yticks=[])
 

@@ -13,7 +13,6 @@ from torch import Tensor
 from slicemask import Frustum, PoseGrid, build_bank
 from slicemask.bank.build import Progress
 from slicemask.errors import is_out_of_memory
-from slicemask.geometry.frustum import Projection
 from slicematch.devices import choose_device, precision_note
 from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer, load_candidates
@@ -23,6 +22,8 @@ from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates
+
+_PANORAMA = Frustum()
 
 
 @dataclass(frozen=True)
@@ -155,15 +156,12 @@ def time_run(
 def time_settings(
     *,
     grid: str = "21x21x64",
-    hfov_deg: float = 360.0,
-    projection: Projection = "equirectangular",
-    bands: tuple[float, ...] = (),
+    frustum: Frustum = _PANORAMA,
     encoder: str = "vgg16",
     weights: str | Path = "none",
     stride: int = 16,
     ground_size: tuple[int, int] = (320, 640),
     aerial_size: int = 512,
-    slices: int = 16,
     device: str = "auto",
     cache: str | Path | None = None,
     precision: Precision = "32-true",
@@ -175,8 +173,10 @@ def time_settings(
 
     Parameters
     ----------
-    grid, hfov_deg, projection, bands, slices
-        The candidates: see `slicemask.PoseGrid.parse` and `slicemask.Frustum`.
+    grid : str
+        The candidate poses: see `slicemask.PoseGrid.parse`.
+    frustum : Frustum
+        Of the ground images; the paper's panoramas by default.
     encoder : str
         timm backbone of both images.
     weights : str or path
@@ -215,9 +215,15 @@ def time_settings(
             f"image sizes are {ground_size} and {aerial_size} pixels; they must be at least 1"
         )
     chosen = choose_device(device)
-    frustum, poses = Frustum(hfov_deg, slices, projection, bands), PoseGrid.parse(grid)
+    poses = PoseGrid.parse(grid)
     model = SliceMatch(
-        encoder, weights, ground_size, aerial_size, stride, slices, bands=_some_bands(frustum)
+        encoder,
+        weights,
+        ground_size,
+        aerial_size,
+        stride,
+        frustum.slices,
+        bands=_some_bands(frustum),
     )
     model.for_inference(chosen, precision)
     bank = build_bank(poses, frustum, model.cells, cache=cache, progress=progress).path

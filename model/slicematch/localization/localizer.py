@@ -10,10 +10,10 @@ import torch
 from PIL import Image
 
 from slicemask import Frustum, PoseGrid, build_bank, open_bank
-from slicemask.images import Picture, check_aspect, name_of, read_aerial, read_image, resize
-from slicematch.data.elevations import crop_elevations
+from slicemask.images import Picture, name_of, read_aerial, read_image, resize
+from slicematch.data.elevations import crop_elevations, frame_ground
 from slicematch.data.images import normalise
-from slicematch.data.panoramas import read_panorama, turn_panorama
+from slicematch.data.panoramas import cut_hfov, read_panorama, turn_panorama
 from slicematch.devices import choose_device
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
@@ -32,6 +32,7 @@ from slicematch.precision import Precision
 from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.off_grid import PairScorer
 from slicematch.scoring.scores import score_candidates
@@ -144,7 +145,7 @@ class Localizer:
         """
         if bank is not None and grid is not None:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
-        folder = RunFolder(Path(run))
+        folder = RunFolder(find_run(run))
         config, model = folder.load_model(checkpoint)
         fitted = folder.load_calibration(config)
         chosen = choose_device(device)
@@ -254,8 +255,8 @@ class Localizer:
         ----------
         ground : path, PIL image or uint8 [height, width, 3]
             A panorama (VIGOR runs) or a camera image (KITTI runs). The heading found is that of
-            its centre column. Channels are red, green, blue: an image that OpenCV has read is
-            turned round by ``[..., ::-1]``.
+            its centre column, of a camera image that of its optical axis. Channels are red, green,
+            blue: an image that OpenCV has read is turned round by ``[..., ::-1]``.
         aerial : path, PIL image, uint8 [A, A, 3], or what `encode_aerial` gives
             The tile.
         heading_prior : (centre, half_width), optional
@@ -429,23 +430,39 @@ class Localizer:
     def _read_ground(self, ground: Picture) -> tuple[Image.Image, float | None]:
         """A ground image, and the heading that a panorama's own data give it, if they do."""
         if self.frustum.projection == "equirectangular":
-            return read_panorama(ground)
-        image = read_image(ground)
-        if self.config.ground_aspect is not None:
-            check_aspect(image, name_of(ground), self.config.ground_aspect, "a ground image")
-        return image, None
+            return read_panorama(ground, self.config.ground_fit, self.frustum.hfov_deg)
+        return read_image(ground), None
 
     def _as_input(self, image: Image.Image) -> torch.Tensor:
         """What the ground encoder takes of a ground image, [1, 3, height, width]."""
-        size = cast(tuple[int, int], self.config.ground_size)
-        image = crop_elevations(
-            image, self.config.elevations, self.frustum.projection, self.frustum.hfov_deg
-        )
+        config, hfov_deg = self.config, self.frustum.hfov_deg
+        size = cast(tuple[int, int], config.ground_size)
         if self.frustum.projection == "equirectangular":
-            image = turn_panorama(image, 0.0, size)
+            image = crop_elevations(image, config.elevations, "equirectangular", hfov_deg)
+            image = turn_panorama(image, 0.0, size, hfov_deg)
         else:
-            image = resize(image, size)
-        return normalise(image, *self.config.normalisation())[None].to(self.device)
+            image = resize(self._framed(image), size)
+        return normalise(image, *config.normalisation())[None].to(self.device)
+
+    def _framed(self, image: Image.Image) -> Image.Image:
+        """A camera's image, cut to what the run takes."""
+        config = self.config
+        aspect = config.ground_aspect or image.width / image.height  # runs of before say none
+        return frame_ground(
+            image,
+            aspect,
+            config.ground_fit,
+            config.elevations,
+            self.frustum.hfov_deg,
+            self.frustum.left_deg,
+            config.horizon,
+        )
+
+    def shown(self, image: Image.Image) -> Image.Image:
+        """The columns of a ground image that the run's slices are cut from, for a picture."""
+        if self.frustum.projection == "equirectangular":
+            return cut_hfov(image, self.frustum.hfov_deg)
+        return image
 
 
 def _as_floats(prior: Any) -> Any:

@@ -14,6 +14,7 @@ from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import check_resolution
 from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def predict(
         A run folder.
     ground : path, PIL image or uint8 [height, width, 3]
         A panorama (VIGOR runs) or a camera image (KITTI runs). The heading found is that of its
-        centre column.
+        centre column, of a camera image that of its optical axis.
     aerial : path, PIL image or uint8 [A, A, 3]
         A square tile, north up.
     metres_per_pixel : float, optional
@@ -162,7 +163,7 @@ def predict(
     """
     _check_request(metres_per_pixel, truth, centre, geojson, out)
     say = progress or (lambda _: None)
-    RunFolder(Path(run)).load_config()  # the likeliest slip of all, before large images
+    RunFolder(find_run(run)).load_config()  # the likeliest slip of all, before large images
     say("reading the tile")
     tile = read_aerial(aerial)
     say("loading the run")
@@ -195,7 +196,7 @@ def predict(
                 estimate.pose,
                 localizer.frustum,
                 truth=truth,
-                ground=view,
+                ground=localizer.shown(view),
                 title=_title(ground, aerial),
                 estimate=estimate,
                 tile_metres=None if metres_per_pixel is None else tile.width * metres_per_pixel,

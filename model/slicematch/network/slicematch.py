@@ -42,6 +42,8 @@ class SliceMatch(nn.Module):
     pyramid : int, optional
         Channels of a feature pyramid over the encoders' stages (ours); none in the paper: see
         `slicematch.network.encoders.Encoder`.
+    pyramid_to : int
+        Stride of the deepest stage that it takes.
 
     Attributes
     ----------
@@ -67,12 +69,15 @@ class SliceMatch(nn.Module):
         cross_view_attention: bool = True,
         bands: RangeBands | None = None,
         pyramid: int | None = None,
+        pyramid_to: int = 32,
     ) -> None:
         super().__init__()
         if slices < 1:
             raise ConfigError(f"slices is {slices}; it must be at least 1")
-        self.ground_encoder = Encoder(encoder, ground_size, stride, weights, pyramid)
-        self.aerial_encoder = Encoder(encoder, (aerial_size, aerial_size), stride, weights, pyramid)
+        self.ground_encoder, self.aerial_encoder = (
+            Encoder(encoder, size, stride, weights, pyramid, pyramid_to)
+            for size in (ground_size, (aerial_size, aerial_size))
+        )
         self.channels = self.aerial_encoder.channels
         self.cells = self.aerial_encoder.feature_size[0]
         self.ground_aggregator: nn.Module

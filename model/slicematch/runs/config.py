@@ -71,7 +71,8 @@ class TrainConfig:
     test_grid : str or None
         Candidate poses in testing, ROWSxCOLUMNSxHEADINGS; None for the paper's.
     hfov_deg : float or None
-        Horizontal field of view of the ground images, in degrees; None for the data set's.
+        Horizontal field of view of the ground images, in degrees: what panoramas are cut to around
+        their headings, or a camera's, with its optical axis in the centre; None for the data set's.
     encoder : str
         timm backbone.
     weights : str
@@ -81,8 +82,11 @@ class TrainConfig:
     pyramid : int or None
         Channels of a feature pyramid over the encoder's stages of this stride and deeper (ours);
         None for the features of that stage alone.
+    pyramid_to : int
+        Stride of the deepest stage that the pyramid takes.
     ground_size : (height, width) or None
-        Pixels of the ground images; None for the paper's.
+        Pixels of the ground images; None for the paper's, of a panorama that is cut with as many
+        pixels a degree.
     aerial_size : int
         Pixels along each side of the aerial images.
     image_mean, image_std : (red, green, blue) or None
@@ -110,8 +114,11 @@ class TrainConfig:
     camera_height_m : float or None
         Of the cameras above the ground, which tells the rows of a range; None for the data set's.
     elevations : (lowest, highest) or None
-        The part of the ground images that is used, in degrees above the horizon (ours), which is at
-        half their height; None for all of them.
+        The part of the ground images that is used, in degrees above the horizon (ours); None for
+        all of them. The horizon is at half their height, or at a camera's principal point.
+    ground_fit : {"crop", "resize"}
+        What to do with ground images of other proportions than the data set's: cut or add rows
+        about the horizon until they show as much, or resize them.
     cross_view_attention : bool
         Whether the aerial attention sees the ground descriptors.
     alpha : float or None
@@ -159,6 +166,12 @@ class TrainConfig:
         The heading that a heading prior is centred on; None for the data set's.
     ground_aspect : float or None
         Width over height of the ground images as they are; None for the data set's.
+    left_deg : float or None
+        Azimuth of the ground images' left edge from the camera's optical axis, which is the
+        heading; None for an axis in the centre. Filled in by training with `hfov_deg`.
+    horizon : float
+        Where the horizon of a camera's images is, from their top, as a fraction of their height.
+        Filled in by training with `hfov_deg`.
 
     Raises
     ------
@@ -188,6 +201,7 @@ class TrainConfig:
     weights: str = "imagenet"
     stride: int = 16
     pyramid: int | None = None
+    pyramid_to: int = 32
     ground_size: tuple[int, int] | None = None
     aerial_size: int = 512
     image_mean: Triple | None = field(default=None, metadata=_KEPT)
@@ -201,6 +215,7 @@ class TrainConfig:
     band_weights: bool = True
     camera_height_m: float | None = None
     elevations: tuple[float, float] | None = None
+    ground_fit: Literal["crop", "resize"] = "crop"
     cross_view_attention: bool = True
     alpha: float | None = field(default=4.0, metadata={"none": "K"})
     tau: float = 0.1
@@ -222,6 +237,8 @@ class TrainConfig:
     projection: Projection | None = field(default=None, metadata=_KEPT)
     prior_centre_deg: float | None = field(default=None, metadata=_KEPT)
     ground_aspect: float | None = field(default=None, metadata=_KEPT)
+    left_deg: float | None = field(default=None, metadata=_KEPT)
+    horizon: float = field(default=0.5, metadata=_KEPT)
 
     required: ClassVar[tuple[str, ...]] = ("data", "root")
 
@@ -235,6 +252,11 @@ class TrainConfig:
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
         self._check("pyramid", self.pyramid is None or self.pyramid >= 1, "None or at least 1")
+        self._check(
+            "pyramid_to",
+            self.pyramid is None or self.pyramid_to >= self.stride,
+            f"at least the stride, {self.stride}",
+        )
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate"):
@@ -278,13 +300,6 @@ class TrainConfig:
                 object.__setattr__(self, name, getattr(data, name))
         own = {name: _plain(getattr(data, name)) for name in data.own_settings()}
         object.__setattr__(self, "data_settings", own)
-        self._check(
-            "hfov_deg",
-            self.hfov_deg is None or data.hfov_deg in (None, self.hfov_deg),
-            f"{data.hfov_deg:g}, as of all ground images of {self.data}"
-            if data.hfov_deg is not None
-            else "",
-        )
 
     def _from_data(self) -> tuple[str, ...]:
         """The settings that are the data set's where they are not given."""
@@ -364,7 +379,8 @@ class TrainConfig:
         """Field of view and slices; `hfov_deg` must be known, as it is in a run folder."""
         if self.hfov_deg is None or self.projection is None:
             raise ConfigError("hfov_deg is None; it must be known: training fills it in")
-        return Frustum(self.hfov_deg, self.slices, self.projection, self.band_shares())
+        shares = self.band_shares()
+        return Frustum(self.hfov_deg, self.slices, self.projection, shares, self.left_deg)
 
     def band_shares(self) -> tuple[float, ...]:
         """The ranges of the bands in shares of the tile's side, to four digits.
@@ -424,6 +440,7 @@ class TrainConfig:
             "heading_half_width_deg": self.heading_half_width_deg,
             "aerial_size": self.aerial_size,
             "elevations": self.elevations,
+            "ground_fit": self.ground_fit,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
             "extent": self.extent,
@@ -431,8 +448,10 @@ class TrainConfig:
             "seed": self.seed,
         }
         settings["image_mean"], settings["image_std"] = self.normalisation()
-        if self.ground_size is not None:
-            settings["ground_size"] = self.ground_size
+        settings["ground_size"] = self.ground_size or kind.default_ground_size(self.hfov_deg)
+        if self.hfov_deg is not None:
+            for name in ("hfov_deg", "left_deg", "horizon"):
+                settings[name] = getattr(self, name)
         for setting in fields(kind):
             if setting.name in self.data_settings:
                 value = self.data_settings[setting.name]

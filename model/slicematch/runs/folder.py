@@ -15,12 +15,14 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
 import torch
+from safetensors.torch import load_file
 
 from slicemask import PoseGrid
 from slicemask.geometry.frustum import Projection
@@ -30,6 +32,7 @@ from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.settings import read_settings
+from slicematch.runs.shipped import shipped_runs
 
 Checkpoint = Literal["best", "last"]
 
@@ -96,9 +99,16 @@ class RunFolder:
         """The temperature, and how it was fitted."""
         return self.path / "calibration.json"
 
+    @property
+    def packed_weights(self) -> Path:
+        """The weights of a packed run (`slicematch.runs.packed`)."""
+        return self.path / "weights.safetensors"
+
     def checkpoint(self, which: str) -> Path:
-        """The checkpoint "best" or "last"."""
-        return self.path / "checkpoints" / f"{which}.ckpt"
+        """The checkpoint "best" or "last"; a packed run's weights are its best."""
+        path = self.path / "checkpoints" / f"{which}.ckpt"
+        packed = which == "best" and self.packed_weights.is_file() and not path.exists()
+        return self.packed_weights if packed else path
 
     def load_config(self) -> TrainConfig:
         """The run's settings.
@@ -113,7 +123,7 @@ class RunFolder:
         if not self.config_file.is_file():
             raise RunError(
                 f"{self.path}: is no run folder, since it has no {self.config_file.name}; name "
-                "one that `slicemask train` wrote"
+                f"one that `slicemask train` wrote{_or_shipped()}"
             )
         self.read_settings()
         return TrainConfig.load(self.config_file)
@@ -188,6 +198,12 @@ class RunFolder:
         return config, model.eval()
 
 
+def _or_shipped() -> str:
+    """The end of a sentence that says what runs there are."""
+    names = shipped_runs()
+    return f", or {' or '.join(names)}, which comes with slicemask" if names else ""
+
+
 def _metrics(line: bytes) -> dict[str, Any] | None:
     """What a line of the metrics holds; None if it is not whole."""
     try:
@@ -241,6 +257,7 @@ def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
         aerial_size=config.aerial_size,
         stride=config.stride,
         pyramid=config.pyramid,
+        pyramid_to=config.pyramid_to,
         slices=config.slices,
         cross_view_attention=config.cross_view_attention,
         bands=_range_bands(config),
@@ -254,7 +271,11 @@ def _range_bands(config: TrainConfig) -> RangeBands | None:
     # As they are once training has completed them.
     height, projection = cast(float, config.camera_height_m), cast(Projection, config.projection)
     shown = config.elevations or image_elevations(
-        projection, cast(float, config.hfov_deg), cast(float, config.ground_aspect)
+        projection,
+        cast(float, config.hfov_deg),
+        cast(float, config.ground_aspect),
+        config.left_deg,
+        config.horizon,
     )
     return RangeBands(
         ranges_m=config.band_ranges_m(),
@@ -281,6 +302,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             "its first epoch"
         )
     try:
+        if path.suffix == ".safetensors":
+            return {"state_dict": {key: _widened(value) for key, value in load_file(path).items()}}
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a hostile or broken file can provoke nearly anything
         reason = str(error).strip().split("\n")[0] or type(error).__name__
@@ -293,6 +316,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
+def _widened(tensor: torch.Tensor) -> torch.Tensor:
+    """Half precision is for files alone."""
+    return tensor.float() if tensor.is_floating_point() else tensor
+
+
 def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> None:
     """Give a model the weights of a checkpoint that was read from a path.
 
@@ -302,6 +330,13 @@ def load_weights(model: SliceMatch, content: Mapping[str, Any], path: Path) -> N
         If they do not fit the model, or are not finite.
     """
     weights = {key.removeprefix("model."): value for key, value in content["state_dict"].items()}
+    # Runs of 0.1 also hold blocks that no feature needs.
+    held = model.state_dict().keys()
+    weights = {
+        key: value
+        for key, value in weights.items()
+        if key in held or not re.match(r"\w+_encoder\.backbone\.blocks\.\d+\.", key)
+    }
     try:
         model.load_state_dict(weights)
     except (RuntimeError, TypeError, AttributeError) as error:

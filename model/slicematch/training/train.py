@@ -200,9 +200,15 @@ def _with_facts_of_the_data(
     A resumed run keeps the size it has, which its bands are shares of.
     """
     side = None if before is None else before.tile_side_m
+    if config.hfov_deg is None:
+        config = replace(
+            config,
+            hfov_deg=training.hfov_deg,
+            left_deg=training.left_deg,
+            horizon=training.horizon,
+        )
     return replace(
         config,
-        hfov_deg=training.hfov_deg if config.hfov_deg is None else config.hfov_deg,
         tile_side_m=float(np.median(training.tile_metres)) if side is None else side,
     )
 

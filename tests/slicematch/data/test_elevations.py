@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 from PIL import Image
-from slicematch.data.elevations import crop_elevations, image_elevations
+from slicematch.data.elevations import (
+    check_elevations,
+    crop_elevations,
+    frame_ground,
+    image_elevations,
+)
 from slicematch.data.errors import DatasetError
 
 
@@ -40,9 +45,46 @@ def test_edges_between_two_rows_are_resampled():
 
 
 @pytest.mark.parametrize("elevations", [(-50.0, 0.0), (0.0, 47.0)])
-def test_what_the_image_does_not_show_is_refused(elevations):
+def test_settings_for_what_the_images_do_not_show_are_refused(elevations):
     with pytest.raises(DatasetError, match="shows -45 to 45: choose a part of them"):
-        crop_elevations(rows_of(100, 100), elevations, "pinhole", 90.0)
+        check_elevations(elevations, "pinhole", 90.0, 1.0)
+
+
+def test_rows_that_an_image_does_not_show_are_black():
+    image = Image.fromarray(np.full((100, 100), 200, np.uint8))
+    # 45 degrees are 50 rows, 63.43 degrees 100.
+    cropped = np.asarray(crop_elevations(image, (-45.0, 63.43494882), "pinhole", 90.0))
+    assert cropped[:, 0].tolist() == [0] * 50 + [200] * 100
+    cropped = np.asarray(crop_elevations(image, (-63.43494882, 0.0), "pinhole", 90.0))
+    assert cropped[:, 0].tolist() == [200] * 50 + [0] * 50
+
+
+def test_the_horizon_is_where_the_principal_point_is():
+    assert image_elevations("pinhole", 90.0, 1.0, None, 0.25) == pytest.approx(
+        (-56.30993247, 26.56505118)
+    )
+    # Of a camera that sees 0 to 45 degrees across, the image is one focal length wide and high.
+    low, high = image_elevations("pinhole", 45.0, 1.0, 0.0, 0.5)
+    assert (low, high) == pytest.approx((-26.56505118, 26.56505118))
+    cropped = crop_elevations(rows_of(200, 200), (0.0, 26.56505118), "pinhole", 90.0, None, 0.25)
+    assert np.asarray(cropped)[:, 0].tolist() == list(range(50))
+
+
+@pytest.mark.parametrize(("height", "rows"), [(100, list(range(25, 75))), (30, None)])
+def test_images_of_other_proportions_are_cut_about_the_horizon(height, rows):
+    framed = np.asarray(frame_ground(rows_of(height, 100), 2.0, "crop", None, 90.0))
+    assert framed.shape == (50, 100)
+    expected = rows or [0] * 10 + list(range(30)) + [0] * 10
+    assert framed[:, 0].tolist() == expected
+
+
+def test_images_of_other_proportions_are_resized_if_the_settings_say_so():
+    framed = np.asarray(frame_ground(rows_of(100, 100), 2.0, "resize", None, 90.0))
+    assert framed.shape == (50, 100)
+    assert framed[[0, -1], 0].tolist() == pytest.approx([0.5, 98.5], abs=1.5)
+    # Elevations are then those of an image of the expected proportions.
+    half = np.asarray(frame_ground(rows_of(100, 100), 2.0, "resize", (-26.56505118, 0.0), 90.0))
+    assert half.shape == (25, 100)
 
 
 def test_elevations_of_kitti():

@@ -13,7 +13,7 @@ from slicematch.data.kitti import (
     KittiConfig,
     camera_pose,
     cut_tile,
-    read_hfov_deg,
+    read_calibration,
 )
 
 SMALL = {"ground_size": (32, 64), "aerial_size": 64, "validation_fraction": 0.0}
@@ -142,18 +142,18 @@ def test_the_ground_image_is_what_the_crop_shows_from_the_pose(
 ):
     tree = make_kitti_tree(tmp_path, pairs=3)
     dataset = open_kitti(tmp_path, part, aerial_size=512, ground_size=(64, 128), augment=augment)
-    across = 2 * (np.arange(128) + 0.5) / 128 - 1
-    half = np.tan(np.radians(dataset.hfov_deg / 2))
-    azimuth_deg = np.degrees(np.arctan(across * half))
+    left, right = np.tan(np.radians(tree.edges_deg))
+    azimuth_deg = np.degrees(np.arctan(left + (right - left) * (np.arange(128) + 0.5) / 128))
     ranges = 40.0 / SPAN_M * (1 - (np.arange(64) + 0.5) / 64)
-    assert dataset.hfov_deg == pytest.approx(tree.hfov_deg)
+    assert (dataset.left_deg, dataset.left_deg + dataset.hfov_deg) == pytest.approx(tree.edges_deg)
     for index in range(3):
         sample = dataset[index]
         u, v, heading_deg = sample["pose"].numpy()
         tile, ground = denormalise(sample["aerial"]), denormalise(sample["ground"]).astype(int)
         seen = sample_view(tile, (u, v), heading_deg + azimuth_deg, ranges)
         # Where rays leave the crop, the tree painted what lies further out in the tile.
-        inside = ~np.all(seen == 128, axis=2)
+        # So it does where a mirrored image has no more columns, which are grey.
+        inside = ~np.all(seen == 128, axis=2) & ~(sample["ground"] == 0).all(dim=0).numpy()
         assert inside.mean() > 0.4
         assert np.abs(seen - ground)[inside].mean() < 8
         wrong = sample_view(tile, (u, v), heading_deg + 5 + azimuth_deg, ranges)
@@ -278,34 +278,67 @@ def test_field_of_view_of_the_calibration_file(tmp_path):
         (1241, 718.8560, 81.60),
     ):
         text = f"S_rect_02: {width}e+00 370\nP_rect_02: {focal:e} 0 609 44 0 721 172 0.2 0 0 1 0\n"
-        assert read_hfov_deg(write_calib(tmp_path, "day", text)) == pytest.approx(
-            hfov_deg, abs=0.011
-        )
-    path = write_calib(tmp_path, "day", "P_rect_02: 721.5377 0 0 0\n")
-    assert read_hfov_deg(path) == pytest.approx(81.44, abs=0.01)
+        frustum, horizon = read_calibration(write_calib(tmp_path, "day", text))
+        assert frustum.hfov_deg == pytest.approx(hfov_deg, abs=0.02)
+        assert frustum.principal_point == pytest.approx(609 / width)
+        assert horizon == pytest.approx(172 / 370)
+    text = "P_rect_02: 721.5377 0 621 0 0 721.5377 172.854 0 0 0 1 0\n"
+    frustum, horizon = read_calibration(write_calib(tmp_path, "day", text))
+    assert frustum.hfov_deg == pytest.approx(81.44, abs=0.01)
+    assert frustum.left_deg is None
+    assert horizon == pytest.approx(172.854 / 375)
 
 
 def test_field_of_view_of_a_tree(make_kitti_tree, tmp_path):
     make_kitti_tree(tmp_path / "without", pairs=1, calib=False)
-    assert open_kitti(tmp_path / "without").hfov_deg == 81.5
+    plain = open_kitti(tmp_path / "without")
+    assert (plain.hfov_deg, plain.left_deg, plain.horizon) == (81.5, None, 0.5)
     tree = make_kitti_tree(tmp_path / "with", pairs=1)
-    assert open_kitti(tree.root).hfov_deg == pytest.approx(81.44, abs=0.01)
-    for day, focal in (("2011_09_29", 700.0), ("2011_09_30", 710.0)):
-        write_calib(tree.root, day, f"P_rect_02: {focal} 0 0 0\n")
+    for day, focal, cx, cy in (("2011_09_29", 700.0, 600, 170), ("2011_09_30", 710.0, 615, 190)):
+        write_calib(tree.root, day, f"P_rect_02: {focal} 0 {cx} 0 0 {focal} {cy} 0 0 0 1 0\n")
     # The median of the days, whatever the part.
-    expected = np.degrees(2 * np.arctan(621 / 710))
+    left_deg = np.degrees(np.arctan(-600 / 700))
+    right_deg = np.degrees(np.arctan((1242 - 609.5593) / 721.5377))
     for part in ("train", "test"):
-        assert open_kitti(tree.root, part).hfov_deg == pytest.approx(expected)
+        dataset = open_kitti(tree.root, part)
+        assert dataset.left_deg == pytest.approx(left_deg)
+        assert dataset.hfov_deg == pytest.approx(right_deg - left_deg)
+        assert dataset.horizon == pytest.approx(172.854 / 375)
+
+
+def test_a_field_of_view_that_is_given_is_that_of_a_centred_camera(make_kitti_tree, tmp_path):
+    """As in runs of before, which knew of no principal point."""
+    make_kitti_tree(tmp_path, pairs=1)
+    dataset = open_kitti(tmp_path, hfov_deg=81.44)
+    assert (dataset.hfov_deg, dataset.left_deg, dataset.horizon) == (81.44, None, 0.5)
+    dataset = open_kitti(tmp_path, hfov_deg=81.44, left_deg=-40.2, horizon=0.46)
+    assert (dataset.hfov_deg, dataset.left_deg, dataset.horizon) == (81.44, -40.2, 0.46)
+
+
+def test_elevations_are_those_about_the_principal_point(make_kitti_tree, tmp_path):
+    make_kitti_tree(tmp_path, pairs=1, ground_size=(375, 1242))
+    (path,) = (file for file in tmp_path.rglob("*.png") if "image_02" in str(file))
+    rows = np.arange(375) < 172.854
+    Image.fromarray(np.repeat(np.where(rows, 255, 0)[:, None], 1242, 1).astype("u1")).save(path)
+    ground = denormalise(open_kitti(tmp_path, elevations=(-10, 10))[0]["ground"])
+    assert ground[:16].min() == 255
+    assert ground[17:].max() == 0
+    assert 100 < ground[16].mean() < 255 or 0 <= ground[16].mean() < 100
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("S_rect_02: 1242 375\n", "no focal length"),
+        ("S_rect_02: 1242 375\n", "no focal length and principal point"),
+        ("P_rect_02: 700 0 600\n", "no focal length and principal point"),
+        ("P_rect_02: 700 0 600 0 0 700 400\n", "row is 400 of 375; expected some 173 of 375"),
         ("P_rect_02: \n", "no focal length"),
         ("P_rect_02: wide\n", "no focal length"),
         ("P_rect_02: nan 0\n", "P_rect_02 is 'nan 0'"),
-        ("S_rect_02: -5 1\nP_rect_02: 700 0\n", "expected 81.4 to 81.8"),
+        (
+            "S_rect_02: -5 1\nP_rect_02: 700 0 600 0 0 700 170\n",
+            "width is -5.0; .* expected some 720, 610 and 1242",
+        ),
         ("", "the calibration file is empty"),
     ],
 )
@@ -334,8 +367,8 @@ def test_a_broken_oxts_file_is_named(make_kitti_tree, tmp_path, content):
 
 @pytest.mark.parametrize(
     ("folder", "size"),
-    [("satmap", (512, 511 - 20)), ("satmap", (400, 400)), ("image_02", (1024, 256))],
-    ids=["not square", "smaller than the crop", "resized already"],
+    [("satmap", (512, 511 - 20)), ("satmap", (400, 400))],
+    ids=["not square", "smaller than the crop"],
 )
 def test_an_oddly_sized_image_is_named(make_kitti_tree, tmp_path, folder, size):
     make_kitti_tree(tmp_path, pairs=1)
@@ -345,6 +378,29 @@ def test_an_oddly_sized_image_is_named(make_kitti_tree, tmp_path, folder, size):
         open_kitti(tmp_path)[0]
     assert str(path) in str(error.value)
     assert f"{size[0]}x{size[1]} pixels" in str(error.value)
+
+
+def test_ground_images_of_any_proportions_are_cut_about_the_horizon_or_resized(
+    make_kitti_tree, tmp_path
+):
+    make_kitti_tree(tmp_path, pairs=1, ground_size=(375, 1242))
+    (path,) = (file for file in tmp_path.rglob("*.png") if "image_02" in str(file))
+    whole = Image.open(path)
+    expected = open_kitti(tmp_path)[0]["ground"]
+    # Fewer rows of the same camera, as many of them gone above the horizon as below, in proportion.
+    top, bottom = (round(40 * share) for share in (172.854 / 375, 1 - 172.854 / 375))
+    whole.crop((0, top, 1242, 375 - bottom)).save(path)
+    cut = open_kitti(tmp_path)[0]["ground"]
+    assert (denormalise(cut)[[0, -1]] == 0).all()
+    assert (cut - expected)[:, 3:-3].abs().mean() < 0.1
+    resized = open_kitti(tmp_path, ground_fit="resize")[0]["ground"]
+    assert (denormalise(resized)[[0, -1]] > 0).any()
+    assert (resized - expected)[:, 3:-3].abs().mean() > 0.1
+    # More rows than the run takes.
+    taller = Image.new("RGB", (1242, 475))
+    taller.paste(whole, (0, round(100 * 172.854 / 375)))
+    taller.save(path)
+    assert (open_kitti(tmp_path)[0]["ground"] - expected).abs().mean() < 0.1
 
 
 @pytest.mark.parametrize("write", WRITINGS.values(), ids=WRITINGS)

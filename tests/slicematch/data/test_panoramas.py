@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from slicematch.data import panoramas
-from slicematch.data.panoramas import read_panorama, turn_panorama
+from slicematch.data.panoramas import cut_hfov, level, read_panorama, turn_panorama
 
 from slicemask.errors import ImageError
 
@@ -161,13 +163,130 @@ def test_what_the_data_say_is_logged_once_of_each_kind(caplog, monkeypatch):
     ]
 
 
+def directions(height):
+    """Right, ahead and up [height, 2 height, 3] of the pixels of a sphere."""
+    azimuth = 2 * np.pi * ((np.arange(2 * height) + 0.5) / (2 * height) - 0.5)
+    elevation = (np.pi * (0.5 - (np.arange(height) + 0.5) / height))[:, None]
+    level = np.cos(elevation)
+    parts = level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation) + 0 * azimuth
+    return np.stack(parts, axis=-1)
+
+
+def seen_along(rays):
+    """The colours of a smooth world around a camera: uint8 of directions [..., 3]."""
+    waves = np.stack(
+        [np.sin(3 * rays[..., 0] + rays[..., 2]), rays[..., 1], np.cos(4 * rays[..., 2])], axis=-1
+    )
+    return np.rint(127 + 120 * waves).astype(np.uint8)
+
+
+def tilted(height, pitch_deg, roll_deg):
+    """What a camera sees of that world that was pitched up and then rolled clockwise."""
+    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
+    ahead = np.array([0, np.cos(pitch), np.sin(pitch)])
+    pitched_up = np.array([0, -np.sin(pitch), np.cos(pitch)])
+    right = np.cos(roll) * np.array([1, 0, 0]) - np.sin(roll) * pitched_up
+    up = np.sin(roll) * np.array([1, 0, 0]) + np.cos(roll) * pitched_up
+    rays = directions(height) @ np.stack([right, ahead, up])
+    return Image.fromarray(seen_along(rays))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-90, 90), st.floats(-180, 180))
+@example(30.0, 0.0)
+@example(0.0, 90.0)
+@example(-90.0, 45.0)
+def test_a_levelled_panorama_is_what_a_level_camera_sees(pitch_deg, roll_deg):
+    height = 96
+    expected = seen_along(directions(height)).astype(int)
+    found = np.asarray(level(tilted(height, pitch_deg, roll_deg), pitch_deg, roll_deg))
+    assert np.abs(found - expected).max() <= 3
+
+
+@pytest.mark.parametrize(
+    ("pitch_deg", "roll_deg", "shown_at", "belongs_at"),
+    [
+        # Pixels of a sphere 36 high, in units of 5 degrees: row 18 is just below the horizon.
+        (30, 0, (18, 36), (12, 36)),  # looking up: the centre shows what is 30 degrees up
+        (-30, 0, (18, 36), (24, 36)),
+        (0, 90, (18, 54), (35, None)),  # its right side down: what is to the right is below
+        (0, -90, (18, 54), (0, None)),
+        (0, 30, (18, 54), (24, 54)),
+    ],
+)
+def test_the_signs_of_pitch_and_roll(pitch_deg, roll_deg, shown_at, belongs_at):
+    pixels = np.zeros((36, 72, 3), np.uint8)
+    row, column = shown_at
+    pixels[row - 1 : row + 1, column - 1 : column + 1] = 255  # around a corner of pixels
+    found = np.asarray(level(Image.fromarray(pixels), pitch_deg, roll_deg), dtype=float)[..., 0]
+    rows, columns = np.indices(found.shape) + 0.5
+    row, column = belongs_at
+    assert (rows * found).sum() / found.sum() == pytest.approx(row, abs=1.0)
+    if column is not None:
+        assert (columns * found).sum() / found.sum() == pytest.approx(column, abs=1.0)
+
+
 @pytest.mark.parametrize("key", ["PosePitchDegrees", "PoseRollDegrees"])
-def test_tilted_panoramas_are_refused(key):
+def test_tilted_panoramas_are_levelled(key, caplog, monkeypatch):
+    monkeypatch.setattr(panoramas, "_said", set())
+    pixels = part(64, 32)
     for tilt in (0, 1.9, -1.9, 359):
-        read_panorama(tagged(part(64, 32), {key: tilt}))
+        assert np.array_equal(read_panorama(tagged(pixels, {key: tilt})).image, pixels)
     for tilt in (2.1, -30, 180):
-        with pytest.raises(ImageError, match=f"say {key} {tilt:g}; .* level within 2 degrees"):
-            read_panorama(tagged(part(64, 32), {key: tilt}))
+        fields = {key: tilt, "PoseHeadingDegrees": 40}
+        found = read_panorama(tagged(pixels, fields))
+        pitch_roll = (tilt, 0) if key == "PosePitchDegrees" else (0, tilt)
+        expected = np.asarray(level(Image.fromarray(pixels), *pitch_roll))
+        assert np.array_equal(found.image, expected)
+        assert found.heading_deg == 40
+        # It is level now, and still says where it faces.
+        again = read_panorama(found.image)
+        assert np.array_equal(again.image, expected)
+        assert again.heading_deg == 40
+    assert sum("is levelled" in text for text in caplog.messages) == 1
+
+
+def test_a_strip_around_the_horizon_is_pasted_or_resized(caplog, monkeypatch):
+    monkeypatch.setattr(panoramas, "_said", set())
+    pixels = part(64, 16)
+    sphere = np.asarray(read_panorama(pixels).image)
+    assert sphere.shape == (32, 64, 3)
+    assert np.array_equal(sphere[8:24], pixels)
+    assert not sphere[:8].any()
+    assert "strip of a panorama" in caplog.text
+    resized = np.asarray(read_panorama(pixels, "resize").image)
+    assert resized.shape == (32, 64, 3)
+    assert resized.any(axis=(1, 2)).all()
+
+
+def test_an_image_that_shows_more_than_a_sphere_is_refused_unless_resized():
+    with pytest.raises(ImageError, match=r"64x48 pixels; .* at least 2 times as wide as high"):
+        read_panorama(part(64, 48))
+    assert read_panorama(part(64, 48), "resize").image.size == (64, 32)
+
+
+def test_an_image_of_the_field_of_view_alone_is_the_middle_of_a_sphere():
+    pixels = part(32, 32)
+    sphere = np.asarray(read_panorama(pixels, hfov_deg=180.0).image)
+    assert np.array_equal(sphere[:, 16:48], pixels)
+    assert not sphere[:, :16].any()
+
+
+@pytest.mark.parametrize("hfov_deg", [360.0, 180.0, 90.0, 70.0])
+def test_a_field_of_view_is_cut_around_the_heading(hfov_deg):
+    width = 720
+    azimuth_deg = 360 * ((np.arange(width) + 0.5) / width - 0.5)
+    wave = np.rint(127 + 127 * np.cos(np.radians(azimuth_deg))).astype(np.uint8)
+    image = Image.fromarray(np.broadcast_to(wave[None, :, None], (360, width, 3)).copy())
+    columns = int(hfov_deg / 2)
+    turned = np.asarray(turn_panorama(image, 50.0, (20, columns), hfov_deg))[0, :, 0].astype(int)
+    seen_deg = 50.0 + hfov_deg * ((np.arange(columns) + 0.5) / columns - 0.5)
+    expected = 127 + 127 * np.cos(np.radians(seen_deg))
+    assert np.abs(turned - expected).max() <= 2
+    assert cut_hfov(image, hfov_deg).size == (2 * hfov_deg, 360)
+    assert np.array_equal(
+        np.asarray(cut_hfov(image, hfov_deg))[0, 0], np.asarray(image)[0, int(360 - hfov_deg)]
+    )
 
 
 @pytest.mark.parametrize(
@@ -181,7 +300,7 @@ def test_tilted_panoramas_are_refused(key):
         ({"CroppedAreaLeftPixels": 64}, "do not fit its GPano data"),
         ({"CroppedAreaImageHeightPixels": 28}, "do not fit its GPano data"),
         ({"CroppedAreaImageWidthPixels": -40}, "do not fit its GPano data"),
-        ({"FullPanoHeightPixels": 40}, "64x40 pixels; a panorama must be 2 times as wide"),
+        ({"FullPanoHeightPixels": 40}, "64x40 pixels; a panorama must be at least 2"),
     ],
 )
 def test_data_that_do_not_fit_are_refused(change, message):

@@ -203,3 +203,20 @@ def test_ground_and_aerial_weights_are_not_shared():
     model = SliceMatch("test_resnet", "none", (64, 128), 64, slices=4)
     ground = {id(p) for p in model.ground_encoder.parameters()}
     assert ground.isdisjoint({id(p) for p in model.aerial_encoder.parameters()})
+
+
+@pytest.mark.parametrize("name", ["tf_efficientnet_lite0", "mobilenetv3_small_050"])
+def test_blocks_that_no_feature_needs_are_cut(name):
+    """Cut or not, features are the same, and all that is left takes part."""
+    torch.manual_seed(0)
+    encoder = Encoder(name, (64, 64), stride=8, weights="none").eval()
+    torch.manual_seed(0)
+    whole = timm.create_model(name, features_only=True).eval()
+    assert len(encoder.backbone.blocks) < len(whole.blocks)
+    images = torch.randn(1, 3, 64, 64)
+    stage = whole.feature_info.reduction().index(8)
+    state = {key: whole.state_dict()[key] for key in encoder.backbone.state_dict()}
+    encoder.backbone.load_state_dict(state)
+    torch.testing.assert_close(encoder(images), whole(images)[stage])
+    encoder.train()(images.repeat(2, 1, 1, 1)).sum().backward()
+    assert all(parameter.grad is not None for parameter in encoder.parameters())

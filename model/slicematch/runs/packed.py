@@ -1,0 +1,81 @@
+"""A packed run: what answering takes, small enough to hand on, or to come with the package.
+
+``config.yaml``, ``calibration.json``
+    The run's own.
+``weights.safetensors``
+    The weights of one checkpoint, floating-point ones in half precision. They count as the best.
+``README.md``
+    Its model card, if it has one.
+
+Commands and functions that only read a run take a packed one as they take a run folder.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from safetensors.torch import save
+
+from slicemask.files import atomic_write, check_folder, write_text
+from slicematch.errors import RunError
+from slicematch.runs.config import TrainConfig
+from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
+
+
+def pack(run: str | Path, out: str | Path, checkpoint: Checkpoint = "best") -> Path:
+    """Write what answering with a run takes into a folder of its own.
+
+    Parameters
+    ----------
+    run : path
+        A run folder.
+    out : path
+        The folder to write, new or empty.
+    checkpoint : {"best", "last"}
+        Which weights.
+
+    Returns
+    -------
+    path : Path
+        The folder.
+
+    Raises
+    ------
+    RunError
+        If the run cannot be loaded, the folder holds something or cannot be written, or a weight
+        is too large for half precision.
+    """
+    source = RunFolder(find_run(run))
+    config, model = source.load_model(checkpoint)
+    fitted = source.load_calibration(config)
+    target = RunFolder(check_folder(out, RunError))
+    if target.path.exists() and any(target.path.iterdir()):
+        raise RunError(f"{target.path}: is not empty; name another folder")
+    weights = {
+        key: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
+        for key, tensor in model.state_dict().items()
+    }
+    too_large = [key for key, tensor in weights.items() if not tensor.isfinite().all()]
+    if too_large:
+        raise RunError(
+            f"{source.path}: its {too_large[0]} is too large for half precision (65504); hand on "
+            "the run folder instead"
+        )
+    target.path.mkdir(parents=True, exist_ok=True)
+    with atomic_write(target.packed_weights, RunError) as partial:
+        partial.write_bytes(save(weights))
+    _without_paths(config).save(target.config_file)
+    if fitted is not None and fitted.checkpoint == checkpoint:
+        text = source.calibration_file.read_text("utf-8").replace('"last"', '"best"')
+        write_text(target.calibration_file, text, RunError)
+    return target.path
+
+
+def _without_paths(config: TrainConfig) -> TrainConfig:
+    """The settings with names of folders and files alone: their paths mean nothing elsewhere."""
+    own = {
+        name: Path(value).name if name.endswith("_dir") and value else value
+        for name, value in config.data_settings.items()
+    }
+    root, weights = (Path(path).name for path in (config.root, config.weights))
+    return replace(config, root=root, weights=weights, data_settings=own)
