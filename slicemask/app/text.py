@@ -46,5 +46,5 @@ class Notice:
         """Show a sentence; "" takes it away."""
         style = "border-left: 4px solid #d9480f; padding: 6px 10px; overflow-wrap: anywhere;"
         self.panel.object = (
-            f'<div role="alert" style="{style}">{escape(text)}</div>' if text else ""
+            f'<div role="alert" class="fault" style="{style}">{escape(text)}</div>' if text else ""
         )

@@ -29,7 +29,7 @@ def _colour(looker, u, v):
 def test_the_camera_is_dragged_and_turned_and_its_code_makes_what_is_shown(explorer, look):
     looker = look(explorer)
     looker.drag((0.5, 0.5), (0.4, 0.3), (0.25, 0.5))
-    u, v, heading_deg = looker.wait_for_pose(0.25, 0.5, 315)
+    u, v, _ = looker.wait_for_pose(0.25, 0.5, 315)
     # The grip is 0.13 of the tile's side ahead; it is pulled round to the east.
     looker.drag((u - 0.092, v - 0.092), (u, v - 0.2), (u + 0.3, v))
     looker.wait_for_pose(0.25, 0.5, 90)
@@ -65,7 +65,7 @@ def test_sliders_change_what_is_seen(explorer, look):
     ranges.fill("")
     ranges.press("Enter")
     code.filter(has_text='Frustum(90, 16, "pinhole")').wait_for()
-    assert looker.page.get_by_role("alert").count() == 0
+    assert looker.page.locator(".fault").count() == 0
 
 
 def test_a_page_is_used_by_keyboard_alone(explorer, look):
@@ -88,7 +88,7 @@ def test_a_tile_is_uploaded_and_a_wrong_file_is_refused_in_words(explorer, look)
     looker.page.locator("input[type=file]").set_input_files(
         {"name": "notes.png", "mimeType": "image/png", "buffer": b"no image at all"}
     )
-    alert = looker.page.get_by_role("alert")
+    alert = looker.page.locator(".fault")
     alert.filter(has_text="notes.png").wait_for()
     assert "/tmp" not in alert.inner_text()
     looker.page.locator("input[type=file]").set_input_files(_tile(9, (64, 32)))
@@ -135,7 +135,7 @@ def test_pictures_and_the_bank_are_given_away(explorer, look, tmp_path):
     grid.press("Enter")
     looker.page.get_by_text("--grid 900x900x64").wait_for()
     looker.page.get_by_text("Bank", exact=True).click()
-    looker.page.get_by_role("alert").filter(has_text="use the command").wait_for()
+    looker.page.locator(".fault").filter(has_text="use the command").wait_for()
 
 
 @pytest.mark.parametrize(
