@@ -6,6 +6,7 @@ from typing import Any
 import panel as pn
 
 from slicemask.app.pixels import PALETTES, Palette
+from slicemask.app.text import OUTLINED
 from slicemask.errors import SpecError
 from slicemask.geometry.frustum import Frustum
 
@@ -31,7 +32,7 @@ class FrustumControls:
         self._on_change, self._on_error = on_change, on_error
         stretch: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.projection = pn.widgets.RadioButtonGroup(
-            name="Projection", options=["equirectangular", "pinhole"], **stretch
+            name="Projection", options=["equirectangular", "pinhole"], **OUTLINED, **stretch
         )
         self.hfov = pn.widgets.FloatSlider(
             name="HFoV (degrees)", start=5, end=360, step=1, value=360, **stretch
@@ -43,7 +44,7 @@ class FrustumControls:
         )
         self.cells = pn.widgets.IntSlider(name="Cells L", start=2, end=64, value=32, **stretch)
         self.palette = pn.widgets.Select(name="Colours", options=list(PALETTES), **stretch)
-        self.frustum, self._last_band_count = Frustum(), 1
+        self.frustum, self._filling = Frustum(), False
         for widget in (self.projection, self.hfov, self.slices, self.bands, self.cells):
             widget.param.watch(self._changed, "value")
         self.palette.param.watch(self._changed, "value")
@@ -63,6 +64,8 @@ class FrustumControls:
         )  # fmt: skip
 
     def _band_count_changed(self, event: Any) -> None:
+        if self._filling:
+            return
         ranges = [_FARTHEST / 2**step for step in reversed(range(event.new - 1))]
         self.bands.value = ",".join(f"{range_:g}" for range_ in ranges)
 
@@ -81,6 +84,9 @@ class FrustumControls:
         except SpecError as error:
             self._on_error(str(error))
             return
+        self._filling = True  # the slider follows the ranges that were typed
+        self.band_count.value = min(self.frustum.band_count, self.band_count.end)
+        self._filling = False
         self._on_error("")
         self._on_change()
 

@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
+from panel.widgets import FileDownload
 from PIL import Image
 
 from slicemask.bank.build import build_bank
@@ -19,6 +20,15 @@ from slicemask.plot import draw_pose, save_figure
 MOST_MASKS = 4_000_000
 # Matplotlib's caches of fonts and texts are no place for two threads at once.
 _drawing = threading.Lock()
+
+
+class Download(FileDownload):  # type: ignore[misc]
+    """A button that downloads what its coroutine gives, or nothing where that is None."""
+
+    async def _async_sync_data(self) -> None:
+        made = await self.callback()
+        if made is not None:
+            self._sync_data(made)
 
 
 def picture_of_pose(

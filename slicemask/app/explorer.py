@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask.app.controls import FrustumControls, PoseControls
-from slicemask.app.downloads import bank_of_grid, picture_of_pose
+from slicemask.app.downloads import Download, bank_of_grid, picture_of_pose
 from slicemask.app.locks import when_locked
 from slicemask.app.page import HELP, page
 from slicemask.app.pixels import blend, shades
 from slicemask.app.snippets import bank_command_line, command_line, python_line
-from slicemask.app.text import OUTLINED, CodeBox, Notice
+from slicemask.app.text import CodeBox, Notice
 from slicemask.app.tile_view import Pointer, Pose, TileView
 from slicemask.app.uploads import ImageDropper, read_upload
 from slicemask.errors import SlicemaskError
@@ -56,8 +56,8 @@ class Explorer:
         self.view.connect(pn.state.curdoc)
         downloads = pn.FlexBox(
             *(
-                pn.widgets.FileDownload(
-                    callback=callback, filename=name, label=label, width=120, **OUTLINED
+                Download(
+                    callback=callback, filename=name, label=label, width=120, button_type="primary"
                 )
                 for label, name, callback in (
                     ("PNG", "slices.png", self._png),
@@ -166,13 +166,13 @@ class Explorer:
         self.notice.show("")
         when_locked(lambda: self.view.show_tile(self.tile))
 
-    async def _png(self) -> BytesIO:
+    async def _png(self) -> BytesIO | None:
         return await self._made(picture_of_pose, ".png", *self._what_is_shown())
 
-    async def _svg(self) -> BytesIO:
+    async def _svg(self) -> BytesIO | None:
         return await self._made(picture_of_pose, ".svg", *self._what_is_shown())
 
-    async def _bank(self) -> BytesIO:
+    async def _bank(self) -> BytesIO | None:
         grid = self.grid.value.strip()
         return await self._made(
             bank_of_grid, grid, self.controls.frustum, self.controls.cells.value
@@ -181,13 +181,13 @@ class Explorer:
     def _what_is_shown(self) -> tuple[Any, ...]:
         return self.masks, np.array(self.view.pose), self.controls.frustum, self.tile
 
-    async def _made(self, make: Any, *arguments: Any) -> BytesIO:
-        """A file made on a thread of its own, so that other sessions go on."""
+    async def _made(self, make: Any, *arguments: Any) -> BytesIO | None:
+        """A file made on its own thread, so that other sessions go on; None where it failed."""
         try:
             made: BytesIO = await asyncio.to_thread(make, *arguments)
         except SlicemaskError as error:
             self.notice.show(str(error))
-            raise
+            return None
         self.notice.show("")
         return made
 

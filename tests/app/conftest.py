@@ -1,5 +1,6 @@
 """A served page, and a browser to look at it: Debian's Chromium, driven by Playwright."""
 
+import importlib.util
 import os
 import re
 import shutil
@@ -14,7 +15,10 @@ pytest.importorskip("panel")
 ROOT = Path(__file__).parents[2]
 # Kept for people to look at; git ignores it.
 SCREENSHOTS = ROOT / "build" / "screenshots"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+RUN = ROOT / "tests" / "slicematch" / "runs" / "data" / "vigor_run_v1"
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 WAIT_MS = 60_000
 
 
@@ -50,7 +54,28 @@ def serve():
     for process in running:
         process.terminate()
         said = process.communicate(timeout=30)[0]
-        assert "Traceback" not in said, said
+        # Tornado complains of browsers that close in the middle of an answer.
+        assert not re.search(r'File ".*/(slicemask|slicematch)/', said), said
+
+
+@pytest.fixture(scope="session")
+def finder(serve, tmp_path_factory):
+    """The address of the page with a tiny run, whose answers are as good as any to look at."""
+    pytest.importorskip("torch")
+    tree = tmp_path_factory.mktemp("data") / "vigor"
+    _tree_writer()(tree, 3, cities=("NewYork",), panorama_size=(128, 256), tile_pixels=160)
+    cache = {"SLICEMASK_CACHE": str(tmp_path_factory.mktemp("banks"))}
+    return serve(str(RUN), "--data", str(tree), env=cache)
+
+
+def _tree_writer():
+    """The function that writes small data trees, of the tests of the model."""
+    path = ROOT / "tests" / "slicematch" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("small_data_trees", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where its dataclasses look
+    spec.loader.exec_module(module)
+    return module.write_vigor_tree
 
 
 @pytest.fixture(scope="session")
@@ -119,16 +144,23 @@ class Looker:
 
     def wait_for_pose(self, *expected, tolerance=0.011):
         """Wait until the numbers of the pose are these; None for any."""
-        for _ in range(WAIT_MS // 100):
-            found = self.pose()
-            close = [
+
+        def close():
+            return all(
                 want is None or abs(have - want) <= tolerance * (1 if number < 2 else 100)
-                for number, (have, want) in enumerate(zip(found, expected, strict=True))
-            ]
-            if all(close):
-                return found
+                for number, (have, want) in enumerate(zip(self.pose(), expected, strict=True))
+            )
+
+        self.wait_until(close, lambda: f"the pose is {self.pose()}, not {expected}")
+        return self.pose()
+
+    def wait_until(self, holds, otherwise=lambda: "it did not happen"):
+        """Wait until something holds."""
+        for _ in range(WAIT_MS // 100):
+            if holds():
+                return
             self.page.wait_for_timeout(100)
-        raise AssertionError(f"the pose is {found}, not {expected}")
+        raise AssertionError(otherwise())
 
     def keep(self, name):
         """Keep a picture of the whole page."""

@@ -8,6 +8,8 @@ from PIL import Image
 
 from slicemask import open_bank
 
+pytestmark = pytest.mark.slow
+
 
 def _png(pixels):
     file = BytesIO()

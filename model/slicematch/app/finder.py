@@ -98,7 +98,7 @@ class Finder:
         )
         self.modes = pn.FlexBox(sizing_mode="stretch_width")
         self.coloured_by = pn.widgets.RadioButtonGroup(
-            options=[_CONTRIBUTION, _DIFFERENCE], sizing_mode="stretch_width"
+            options=[_CONTRIBUTION, _DIFFERENCE], sizing_mode="stretch_width", **OUTLINED
         )
         self.coloured_by.param.watch(lambda event: when_locked(self._show_candidate), "value")
         self.heat = pn.widgets.Checkbox(name="Heat map", value=True)

@@ -37,7 +37,9 @@ class Priors:
         self._on_change = on_change
         self.place: tuple[float, float, float] | None = None
         self.heading: tuple[float, float] | None = None
-        self._mode = pn.widgets.RadioButtonGroup(options=list(_MODES), sizing_mode="stretch_width")
+        self._mode = pn.widgets.RadioButtonGroup(
+            options=list(_MODES), sizing_mode="stretch_width", **OUTLINED
+        )
         self._mode.param.watch(lambda event: set_mode(_MODES[event.new]), "value")
         self._clear = pn.widgets.Button(name="Clear priors", width=120, **OUTLINED)
         self._clear.on_click(self._cleared)
