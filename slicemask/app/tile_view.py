@@ -70,9 +70,7 @@ class TileView:
         self._lines = ColumnDataSource(dict.fromkeys("xy", ()))
         self._numbers = ColumnDataSource({"x": (), "y": (), "text": ()})
         self._camera = ColumnDataSource(self._camera_data())
-        self._stroke = ColumnDataSource(
-            {name: [None] for name in ("x0", "y0", "x1", "y1")} | {"radius": [0.0], "number": [0]}
-        )
+        self._stroke = ColumnDataSource(_no_stroke(0))
         self._request, self._reply = ColumnDataSource({}), ColumnDataSource({"number": [0]})
         self._mode = Div(text="camera", visible=False)
         # The document knows what its roots refer to; what only the script refers to it does not.
@@ -139,7 +137,10 @@ class TileView:
 
     def _stroked(self, attribute: str, old: Any, new: dict[str, list[Any]]) -> None:
         ends = [new[name][0] for name in ("x0", "y0", "x1", "y1")]
-        if self._on_stroke is not None and all(isinstance(value, int | float) for value in ends):
+        if not all(isinstance(value, int | float) and math.isfinite(value) for value in ends):
+            return
+        self._stroke.data = _no_stroke(new["number"][0])
+        if self._on_stroke is not None:
             self._on_stroke((ends[0], ends[1]), (ends[2], ends[3]))
 
     def _camera_data(self) -> dict[str, list[float]]:
@@ -166,12 +167,18 @@ class TileView:
     def _draw(self) -> None:
         for colour, width, alpha in (("white", 3.0, 0.55), (_INK, 1.2, 1.0)):
             self.plot.line(
-                "x", "y", source=self._lines, line_color=colour, line_width=width, line_alpha=alpha
+                "x",
+                "y",
+                source=self._lines,
+                line_color=colour,
+                line_width=width,
+                line_alpha=alpha,
+                level="annotation",
             )
         self.plot.text(
             "x", "y", "text", source=self._numbers, text_align="center", text_baseline="middle",
             text_color=_INK, text_font_size="13px", padding=3, border_radius=4,
-            background_fill_color="white", background_fill_alpha=0.75,
+            background_fill_color="white", background_fill_alpha=0.75, level="annotation",
         )  # fmt: skip
         tip = {"x0": "x", "y0": "y", "x1": "tip_x", "y1": "tip_y", "source": self._camera}
         tip |= {"level": "overlay"}  # above whatever else is drawn
@@ -183,6 +190,11 @@ class TileView:
         drawn = {"source": self._stroke, "line_color": _GRIP, "line_width": 3, "level": "overlay"}
         self.plot.circle("x0", "y0", radius="radius", fill_alpha=0.15, fill_color=_GRIP, **drawn)
         self.plot.segment("x0", "y0", "x1", "y1", line_dash="dashed", **drawn)
+
+
+def _no_stroke(number: int) -> dict[str, list[Any]]:
+    ends: dict[str, list[Any]] = {name: [None] for name in ("x0", "y0", "x1", "y1")}
+    return ends | {"radius": [0.0], "number": [number]}
 
 
 def _rounded(pose: Pose) -> Pose:

@@ -193,6 +193,10 @@ class Finder:
             self._again = True
             return
         self._busy = True
+        priors = self.priors
+        when_locked(
+            lambda: self.overlays.show_priors(priors.place, priors.heading, priors.seen_from)
+        )
         self.answer.object = "Searching..."
         document = pn.state.curdoc
 

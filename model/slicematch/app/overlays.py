@@ -14,8 +14,9 @@ from slicematch.localization.modes import grid_steps
 from slicematch.localization.probabilities import ellipse
 
 _HEAT = (0.84, 0.12, 0.45)
-_MODE, _TRUTH = "#d6246e", "#12b886"
+_MODE, _TRUTH, _PRIOR = "#d6246e", "#12b886", "#ffd23f"
 _ARROW = 0.07
+_ARC_RADIUS = 0.25
 
 
 class Overlays:
@@ -33,6 +34,10 @@ class Overlays:
         self._ellipse = ColumnDataSource({"x": [], "y": []})
         self._truth = ColumnDataSource({name: [] for name in ("x", "y", "x1", "y1")})
         self._heat_map = plot.image_rgba("image", "x", "y", "dw", "dh", source=self._heat)
+        self._priors = ColumnDataSource({"x": [], "y": []})
+        plot.line(
+            "x", "y", source=self._priors, line_color=_PRIOR, line_width=3, line_dash="dashed"
+        )
         plot.line("x", "y", source=self._ellipse, line_color="white", line_width=5)
         plot.line("x", "y", source=self._ellipse, line_color=_MODE, line_width=2)
         for source, colour in ((self._truth, _TRUTH), (self._modes, _MODE)):
@@ -69,6 +74,22 @@ class Overlays:
         """Show the heat map, or hide it."""
         self._heat_map.visible = visible
 
+    def show_priors(
+        self,
+        place: tuple[float, float, float] | None,
+        heading: tuple[float, float] | None,
+        camera: tuple[float, float],
+    ) -> None:
+        """Show priors as they were drawn: a circle, and an arc seen from the camera."""
+        lines = [np.full((1, 2), np.nan)]
+        if place is not None:
+            lines += [_arc_points(place[:2], place[2], 0.0, 180.0), lines[0]]
+        if heading is not None:
+            middle = np.array([camera])
+            lines += [middle, _arc_points(camera, _ARC_RADIUS, *heading), middle]
+        drawn = np.concatenate(lines)
+        self._priors.data = {"x": drawn[:, 0], "y": drawn[:, 1]}
+
     def show_truth(self, pose: tuple[float, float, float] | None) -> None:
         """Show the true pose, where it is known."""
         self._truth.data = _arrows(np.reshape([] if pose is None else pose, (-1, 3)))
@@ -78,6 +99,13 @@ def _arrows(poses: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     du, dv = direction(poses[:, 2], np)
     u, v = poses[:, 0], poses[:, 1]
     return {"x": u, "y": v, "x1": u + _ARROW * du, "y1": v + _ARROW * dv}
+
+
+def _arc_points(
+    middle: tuple[float, float], radius: float, centre_deg: float, half_width_deg: float
+) -> NDArray[np.float64]:
+    azimuths_deg = centre_deg + np.linspace(-half_width_deg, half_width_deg, 91)
+    return np.asarray(middle + radius * np.stack(direction(azimuths_deg, np), axis=-1))
 
 
 def _ellipse_points(estimate: Estimate) -> NDArray[np.float64]:

@@ -31,12 +31,15 @@ class Priors:
         Only places in the circle.
     heading : (centre, half_width) or None
         Only headings in the arc, degrees.
+    seen_from : (u, v)
+        Where the camera was when the arc was drawn.
     """
 
     def __init__(self, on_change: Callable[[], None], set_mode: Callable[[str], None]) -> None:
         self._on_change = on_change
         self.place: tuple[float, float, float] | None = None
         self.heading: tuple[float, float] | None = None
+        self.seen_from: Point = (0.5, 0.5)
         self._mode = pn.widgets.RadioButtonGroup(
             options=list(_MODES), sizing_mode="stretch_width", **OUTLINED
         )
@@ -66,7 +69,8 @@ class Priors:
         if mode == "circle":
             self.place = (*start, math.dist(start, end))
         elif mode == "arc":
-            self.heading = arc(start, end, camera[:2])
+            self.seen_from = camera[:2]
+            self.heading = arc(start, end, self.seen_from)
         self._show()
         self._on_change()
 
