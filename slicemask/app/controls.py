@@ -6,7 +6,7 @@ from typing import Any
 import panel as pn
 
 from slicemask.app.pixels import PALETTES, Palette
-from slicemask.app.text import OUTLINED
+from slicemask.app.style import CHOICE
 from slicemask.errors import SpecError
 from slicemask.geometry.frustum import Frustum
 
@@ -32,7 +32,7 @@ class FrustumControls:
         self._on_change, self._on_error = on_change, on_error
         stretch: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.projection = pn.widgets.RadioButtonGroup(
-            name="Projection", options=["equirectangular", "pinhole"], **OUTLINED, **stretch
+            name="Projection", options=["equirectangular", "pinhole"], **CHOICE, **stretch
         )
         self.hfov = pn.widgets.FloatSlider(
             name="HFoV (degrees)", start=5, end=360, step=1, value=360, **stretch

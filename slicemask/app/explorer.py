@@ -16,6 +16,7 @@ from slicemask.app.locks import when_locked
 from slicemask.app.page import HELP, page
 from slicemask.app.pixels import blend, shades
 from slicemask.app.snippets import bank_command_line, command_line, python_line
+from slicemask.app.style import DOWNLOAD
 from slicemask.app.text import CodeBox, Notice
 from slicemask.app.tile_view import Pointer, Pose, TileView
 from slicemask.app.uploads import ImageDropper, read_upload
@@ -56,9 +57,7 @@ class Explorer:
         self.view.connect(pn.state.curdoc)
         downloads = pn.FlexBox(
             *(
-                Download(
-                    callback=callback, filename=name, label=label, width=120, button_type="primary"
-                )
+                Download(callback=callback, filename=name, label=label, width=120, **DOWNLOAD)
                 for label, name, callback in (
                     ("PNG", "slices.png", self._png),
                     ("SVG", "slices.svg", self._svg),

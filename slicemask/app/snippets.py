@@ -17,7 +17,8 @@ def python_line(pose: tuple[float, float, float], frustum: Frustum, cells: int) 
     if frustum.projection != "equirectangular":
         parts.append(f'"{frustum.projection}"')
     if frustum.bands:
-        parts.append(f"bands=({_listed(frustum.bands)},)")
+        only = "," if len(frustum.bands) == 1 else ""
+        parts.append(f"bands=({_listed(frustum.bands)}{only})")
     return (
         "from slicemask import Frustum, slice_masks\n"
         f"frustum = Frustum({', '.join(parts)})\n"

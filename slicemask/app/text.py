@@ -6,9 +6,9 @@ from typing import Any
 import panel as pn
 from bokeh.models import Div
 
-_CODE = "white-space: pre-wrap; overflow-wrap: anywhere; margin: 0; font-size: 13px;"
+from slicemask.app.style import OUTLINED
 
-OUTLINED = {"button_type": "primary", "button_style": "outline"}
+_CODE = "white-space: pre-wrap; overflow-wrap: anywhere; margin: 0; font-size: 13px;"
 
 
 class CodeBox:

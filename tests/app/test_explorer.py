@@ -59,7 +59,7 @@ def test_sliders_change_what_is_seen(explorer, look):
     ranges.fill("0.1,0.2,0.4")
     ranges.press("Enter")
     code = looker.page.locator("pre").first
-    code.filter(has_text='Frustum(90, 16, "pinhole", bands=(0.1, 0.2, 0.4,))').wait_for()
+    code.filter(has_text='Frustum(90, 16, "pinhole", bands=(0.1, 0.2, 0.4))').wait_for()
     looker.keep("explorer_pinhole")
     ranges.fill("0.4,0.2")
     ranges.press("Enter")

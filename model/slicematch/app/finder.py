@@ -15,7 +15,8 @@ from slicemask.app.controls import PoseControls
 from slicemask.app.locks import when_locked
 from slicemask.app.page import HELP, asked_for_dark, page
 from slicemask.app.pixels import blend
-from slicemask.app.text import OUTLINED, Notice
+from slicemask.app.style import CHOICE, OUTLINED
+from slicemask.app.text import Notice
 from slicemask.app.tile_view import Pointer, Pose, TileView
 from slicemask.app.uploads import ImageDropper, read_upload
 from slicemask.errors import AppError, SlicemaskError
@@ -98,7 +99,7 @@ class Finder:
         )
         self.modes = pn.FlexBox(sizing_mode="stretch_width")
         self.coloured_by = pn.widgets.RadioButtonGroup(
-            options=[_CONTRIBUTION, _DIFFERENCE], sizing_mode="stretch_width", **OUTLINED
+            options=[_CONTRIBUTION, _DIFFERENCE], sizing_mode="stretch_width", **CHOICE
         )
         self.coloured_by.param.watch(lambda event: when_locked(self._show_candidate), "value")
         self.heat = pn.widgets.Checkbox(name="Heat map", value=True)

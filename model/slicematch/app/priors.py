@@ -6,7 +6,7 @@ from typing import Any
 
 import panel as pn
 
-from slicemask.app.text import OUTLINED
+from slicemask.app.style import CHOICE, OUTLINED
 
 _MODES = {"move the candidate": "camera", "draw a circle": "circle", "draw an arc": "arc"}
 # A stroke shorter than this, in shares of the tile's side, was a click.
@@ -41,7 +41,7 @@ class Priors:
         self.heading: tuple[float, float] | None = None
         self.seen_from: Point = (0.5, 0.5)
         self._mode = pn.widgets.RadioButtonGroup(
-            options=list(_MODES), sizing_mode="stretch_width", **OUTLINED
+            options=list(_MODES), sizing_mode="stretch_width", **CHOICE
         )
         self._mode.param.watch(lambda event: set_mode(_MODES[event.new]), "value")
         self._clear = pn.widgets.Button(name="Clear priors", width=120, **OUTLINED)
