@@ -3,6 +3,7 @@
 import functools
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -85,11 +86,65 @@ def values_of_16_bits(image: Image.Image, reopen: Callable[[], Image.Image]) -> 
     return high[..., :3] * np.uint16(256) + low[..., :3]
 
 
-def scale_to_8_bits(values: NDArray[np.uint16], name: str) -> Image.Image:
-    """Scale 16 bits a channel to 8, and log how, of the first image in this process.
+@dataclass(frozen=True)
+class Stretch:
+    """How 16 bits a channel become 8: made by `stretch_for`, applied to any number of images.
 
-    The values' own range of bits becomes 0 to 255, or, where that would be dark, their 2nd to 98th
+    Attributes
+    ----------
+    low, high : float
+        The values that become 0 and 255, if they come from percentiles.
+    bits : int or None
+        The bits that the values use, if their high bits are taken instead.
+    """
+
+    low: float = 0.0
+    high: float = 0.0
+    bits: int | None = None
+
+    def __str__(self) -> str:
+        if self.bits is not None:
+            return f"as values of {self.bits} bits"
+        return f"from the 2nd to the 98th percentile, {self.low:.0f} to {self.high:.0f}"
+
+    def apply(self, values: NDArray[np.uint16]) -> NDArray[np.uint8]:
+        """Values uint16 of any shape as uint8 of that shape."""
+        if self.bits is not None:
+            shown = np.minimum(values, 2**self.bits - 1) >> (self.bits - 8)
+        else:
+            shown = np.rint(np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0) * 255.0)
+        scaled: NDArray[np.uint8] = shown.astype(np.uint8)
+        return scaled
+
+
+def stretch_for(values: NDArray[np.uint16]) -> Stretch:
+    """How to scale values of 16 bits to 8.
+
+    Their own range of bits becomes 0 to 255, or, where that would be dark, their 2nd to 98th
     percentile. Values of 65535 do not count for either.
+
+    Parameters
+    ----------
+    values : uint16 of any shape
+        At least one.
+
+    Returns
+    -------
+    Stretch
+    """
+    counted = values[values < _SATURATED]
+    if not counted.size:
+        counted = values
+    bits = max(8, int(counted.max()).bit_length())
+    low, high = (float(value) for value in np.percentile(counted, (2, 98)))
+    if high >= 2 ** (bits - 1) or high <= low:
+        return Stretch(bits=bits)
+    # A few bright pixels would make the rest dark.
+    return Stretch(low, high)
+
+
+def scale_to_8_bits(values: NDArray[np.uint16], name: str) -> Image.Image:
+    """Scale 16 bits a channel to 8 (`stretch_for`), and log how, of the first image in a process.
 
     Parameters
     ----------
@@ -103,20 +158,9 @@ def scale_to_8_bits(values: NDArray[np.uint16], name: str) -> Image.Image:
     PIL.Image.Image
         Mode RGB.
     """
-    counted = values[values < _SATURATED]
-    if not counted.size:
-        counted = values
-    bits = max(8, int(counted.max()).bit_length())
-    low, high = np.percentile(counted, (2, 98))
-    if high >= 2 ** (bits - 1) or high <= low:
-        how = f"as values of {bits} bits"
-        shown = np.minimum(values, 2**bits - 1) >> (bits - 8)
-    else:
-        # A few bright pixels would make the rest dark.
-        how = f"from the 2nd to the 98th percentile, {low:.0f} to {high:.0f}"
-        shown = np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0)
-    _log_once(name, how)
-    return Image.fromarray(shown.astype(np.uint8))
+    stretch = stretch_for(values)
+    _log_once(name, str(stretch))
+    return Image.fromarray(stretch.apply(values))
 
 
 def _raw_mode(image: Image.Image) -> str:

@@ -233,7 +233,7 @@ def _undecoded(image: Image.Image) -> Image.Image:
 def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: str) -> Image.Image:
     """Check an image before it is decoded, and turn it into upright 8-bit RGB."""
     _check_pixels(*image.size, name)
-    xmp = _xmp(image)
+    xmp = xmp_of(image)
     if is_planar(image):
         raise ImageError(
             f"{name}: has 16 bits a channel and is stored band by band, which is not read; store "
@@ -252,7 +252,7 @@ def _upright_rgb(image: Image.Image, reopen: Callable[[], Image.Image], name: st
     return rgb
 
 
-def _xmp(image: Image.Image) -> bytes | str | None:
+def xmp_of(image: Image.Image) -> bytes | str | None:
     """The XMP data of an image, wherever this version of Pillow keeps them for its format."""
     for key in ("xmp", "XML:com.adobe.xmp"):
         if key in image.info:

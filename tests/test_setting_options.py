@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import MISSING, fields
+from dataclasses import fields
 
 import click
 import pytest
@@ -24,7 +24,10 @@ def test_every_setting_is_an_option_and_every_option_a_setting():
     }
     own = {name for data in DATA_SETS for name in config_class(data).own_settings()}
     assert set(OPTIONS) == shared | own
-    assert own == {"labels", "cities", "split_dir"}
+    assert own == {
+        *("labels", "cities", "split_dir"),
+        *("side_m", "view", "shift_m", "map", "map_crs"),
+    }
 
 
 def test_every_setting_is_documented():
@@ -39,7 +42,8 @@ def test_every_setting_is_documented():
 def test_the_help_shows_the_defaults_of_the_settings():
     for field in fields(TrainConfig):
         option = OPTIONS.get(field.name)
-        if option is None or field.default in (MISSING, None):
+        required = field.name in TrainConfig.required
+        if option is None or required or field.default is None:
             continue
         shown = option.help.rsplit("[default: ", 1)[1].rstrip("]")
         if field.default == ():
@@ -90,7 +94,7 @@ def test_what_is_typed_becomes_settings(arguments, settings):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--data", "cvusa"], "'cvusa' is not one of 'vigor', 'kitti'"),
+        (["--data", "cvusa"], "'cvusa' is not one of 'vigor', 'kitti', 'table'"),
         (["--alpha", "many"], "'many' is neither a float nor K"),
         (["--ground-size", "32"], "'32' is not height,width"),
         (["--precision", "8"], "'8' is not one of '32-true'"),

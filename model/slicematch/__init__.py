@@ -1,8 +1,9 @@
 """slicematch: SliceMatch in torch, on slicemask banks.
 
 `Localizer` answers where ground images were taken, with a run that `train` made; `evaluate` and
-`predict` are what the commands of these names call. `SliceMatch` and `Candidates` are the network
-and the poses it scores, for training loops of one's own.
+`predict` are what the commands of these names call. `PoseDataset` is what they take samples from.
+`SliceMatch` and `Candidates` are the network and the poses it scores, for training loops of one's
+own.
 """
 
 import lazy_loader

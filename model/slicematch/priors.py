@@ -75,3 +75,27 @@ def in_place_prior(
     centre_u, centre_v, radius = prior
     distance = np.hypot(np.asarray(u) - centre_u, np.asarray(v) - centre_v)
     return np.asarray(distance <= radius + 1e-9)
+
+
+def count_outside(
+    poses: NDArray[np.float64],
+    extent: tuple[float, float, float, float],
+    place_prior: tuple[float, float, float] | None = None,
+) -> int:
+    """How many poses no candidate can find, since they stand outside an extent or a prior.
+
+    Parameters
+    ----------
+    poses : float64 [K, 3]
+        u, v, heading_deg in the aerial frame.
+    extent : (u0, v0, u1, v1)
+        A place on its edge is inside.
+    place_prior : (u, v, radius) or None
+        What lies farther than the radius from (u, v) is outside, too.
+    """
+    u0, v0, u1, v1 = extent
+    u, v, _ = poses.T
+    outside = (u < u0) | (u > u1) | (v < v0) | (v > v1)
+    if place_prior is not None:
+        outside |= ~in_place_prior(u, v, place_prior)
+    return int(np.count_nonzero(outside))

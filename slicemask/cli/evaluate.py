@@ -17,6 +17,7 @@ from slicemask.cli.options import (
 from slicemask.cli.output import print_result, progress_bar, status_line
 from slicemask.cli.run_options import (
     check_model_installed,
+    dask_option,
     device_option,
     precision_option,
     refine_option,
@@ -69,6 +70,7 @@ from slicemask.cli.run_options import (
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @workers_option
 @refine_option
+@dask_option
 @as_json_option
 def evaluate(run: str, as_json: bool, **options: Any) -> None:
     """Measure the errors of a trained RUN, and what the candidate grid alone costs."""

@@ -20,13 +20,19 @@ _COMMANDS = {
     "info": ("bank", "Show what a bank holds."),
     "verify": ("bank", "Recompute a bank's masks with the other engine and compare."),
     "visualize": ("bank", "Draw the slices of a pose."),
-    "synth": ("synth", "Generate a city with exact poses, on disk as VIGOR or KITTI."),
+    "synth": (
+        "synth",
+        "Generate a city with exact poses, on disk as VIGOR, as KITTI, or with a map.",
+    ),
+    "table": ("table", "Write a table of photographs from VIGOR, KITTI, or a folder of them."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
     "app": ("app", "Serve a page to look at: slices of a camera, or answers of a trained RUN."),
     "pack": ("pack", "Write what predicting with a trained RUN takes into a small folder."),
+    "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
+    "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map, to train on."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 

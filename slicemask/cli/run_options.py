@@ -35,6 +35,11 @@ root_option = click.option(
 workers_option = click.option(
     "--workers", type=int, help="Processes that load images.  [default: the run's]"
 )
+dask_option = click.option(
+    "--dask",
+    metavar="WHERE",
+    help="Do it on Dask: local, a number of processes here, or tcp://scheduler:8786.",
+)
 _RUN_OPTIONS = (
     run_argument,
     grid_option,

@@ -6,7 +6,7 @@ Name, type, choices, default and help of each are those of the settings' own fie
 import re
 import typing
 from collections.abc import Callable
-from dataclasses import MISSING, Field, fields
+from dataclasses import Field, fields
 from typing import Any, Literal
 
 import click
@@ -124,7 +124,7 @@ def _type(setting: Field[Any], kind: Any, form: str) -> Any:
 
 def _default(setting: Field[Any], by_data: dict[str, Any], none: str | None) -> str:
     """What the help says of a setting's default."""
-    if setting.default is MISSING:
+    if setting.name in TrainConfig.required:
         return "  [required, here or in --config]"
     if setting.default == ():
         return "  [default: none]"

@@ -1,5 +1,6 @@
 """The command on generated data: synth."""
 
+import importlib
 import time
 from typing import Any
 
@@ -8,39 +9,46 @@ import click
 from slicemask.cli.options import ImageSize, as_json_option
 from slicemask.cli.output import print_result, progress_bar
 
+# The options of each format that not all have.
+_OPTIONS = {
+    "vigor": {"cities", "panoramas", "panorama_size"},
+    "kitti": {"frames", "image_size"},
+    "table": {"panoramas", "panorama_size", "image_size"},
+}
+
 
 @click.command()
 @click.option(
-    "--format", "kind", type=click.Choice(["vigor", "kitti"]), required=True, help="Of the files."
+    "--format", "kind", type=click.Choice(list(_OPTIONS)), required=True, help="Of the files."
 )
 @click.option("--out", metavar="DIR", required=True, help="Root of the data set.")
 @click.option("--cities", type=int, help="VIGOR: cities, 1 to 4.  [default: 1]")
-@click.option("--panoramas", type=int, help="VIGOR: panoramas per city.  [default: 400]")
+@click.option("--panoramas", type=int, help="VIGOR, table: per city.  [default: 400]")
 @click.option("--frames", type=int, help="KITTI: frames in all.  [default: 200]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
-@click.option("--panorama-size", type=ImageSize(), help="VIGOR's panoramas.  [default: 2048x1024]")
-@click.option("--image-size", type=ImageSize(), help="KITTI's ground images.  [default: 1242x375]")
+@click.option("--panorama-size", type=ImageSize(), help="VIGOR, table.  [default: 2048x1024]")
+@click.option(
+    "--image-size", type=ImageSize(), help="KITTI, table.  [default: 1242x375, for table 640x480]"
+)
 @click.option("--tile-size", type=int, help="Pixels a side.  [default: 640, for KITTI 1280]")
 @click.option("--jobs", type=int, help="Processes.  [default: all processors]")
 @as_json_option
 def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
-    """Generate a city with exact poses, on disk as VIGOR or KITTI.
+    """Generate a city with exact poses, on disk as VIGOR, as KITTI, or with a map.
 
     An interrupted command continues where it stopped when it is repeated.
     """
     try:
-        from slicemask.synth import generate_kitti, generate_vigor
+        generate = getattr(importlib.import_module("slicemask.synth"), f"generate_{kind}")
     except ModuleNotFoundError as error:
+        extras = "synth,maps" if kind == "table" else "synth"
         raise click.ClickException(
-            f"slicemask synth needs {error.name}: pip install 'slicemask[synth]'"
+            f"slicemask synth needs {error.name}: pip install 'slicemask[{extras}]'"
         ) from error
-    others = (
-        ("frames", "image_size") if kind == "vigor" else ("cities", "panoramas", "panorama_size")
-    )
+    others = set().union(*_OPTIONS.values()) - _OPTIONS[kind]
     asked = {name: value for name, value in options.items() if value is not None}
-    for name in asked.keys() & set(others):
+    for name in sorted(asked.keys() & others):
         raise click.UsageError(f"--{name.replace('_', '-')} does not belong to --format {kind}.")
-    generate = generate_vigor if kind == "vigor" else generate_kitti
     start = time.perf_counter()
     with progress_bar("rendering", "images") as progress:
         result = generate(out, **asked, progress=progress)

@@ -38,12 +38,13 @@ def train(
     """Train SliceMatch; the paper's settings are the defaults."""
     check_model_installed()
     from slicematch.runs.folder import RunFolder, plan_run
-    from slicematch.training.train import is_first_process, train
+    from slicematch.training.train import train
+    from slicematch.training.trainer import is_first_process
 
     config, folder = plan_run(given_settings(settings), config_file, out, resume)
     with messages_on_stderr("slicematch"):
         run = train(config, folder, resume=resume, cache=cache, progress=sys.stderr.isatty())
-    if not is_first_process():
+    if not is_first_process(config):
         return
     epochs = RunFolder(run).load_metrics()
     last = epochs[-1] if epochs else {}

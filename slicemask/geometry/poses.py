@@ -245,7 +245,7 @@ def read_poses(path: str | Path) -> NDArray[np.float64]:
         checked = check_poses(poses, names)
     except PoseError as error:
         raise PoseError(f"{path}: {error}") from None
-    if _look_like_radians(poses[:, 2]):
+    if look_like_radians(poses[:, 2]):
         log.warning(
             "%s: all headings lie within 0 and 2 pi, as if they were in radians; they are read as "
             "degrees",
@@ -254,7 +254,7 @@ def read_poses(path: str | Path) -> NDArray[np.float64]:
     return checked
 
 
-def _look_like_radians(headings: NDArray[Any]) -> bool:
+def look_like_radians(headings: NDArray[Any]) -> bool:
     """Whether several headings all lie within 0 and 2 pi, and are not whole degrees."""
     return bool(
         ((headings >= 0) & (headings <= _LARGEST_RADIANS)).all()

@@ -1,8 +1,9 @@
-"""Cities from a seed, rendered from the street and from above, in VIGOR's and KITTI's formats.
+"""Cities from a seed, rendered from the street and from above, in VIGOR's, KITTI's and own formats.
 
 Needs the ``synth`` extra: ``pip install 'slicemask[synth]'``.
 """
 
-from slicemask.synth.generate import SynthResult, generate_kitti, generate_vigor
+import lazy_loader
 
-__all__ = ["SynthResult", "generate_kitti", "generate_vigor"]
+# Imported when first used, so that the registry of switches can be read without the extra.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

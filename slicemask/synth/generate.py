@@ -97,9 +97,9 @@ def generate_vigor(
     """
     if not 1 <= cities <= len(vigor.CITIES):
         raise SynthError(f"cities is {cities}; VIGOR has 1 to {len(vigor.CITIES)}")
-    _check_at_least("panoramas", panoramas, 1)
-    _check_at_least("seed", seed, 0)
-    _check_at_least("tile_size", tile_size, 16)
+    check_at_least("panoramas", panoramas, 1)
+    check_at_least("seed", seed, 0)
+    check_at_least("tile_size", tile_size, 16)
     columns, rows = panorama_size
     if rows < 16 or columns != 2 * rows:
         raise SynthError(
@@ -112,7 +112,7 @@ def generate_vigor(
     ]
     # Planned before anything is written: not every plan can be.
     tasks: list[_Task] = [task for spec in specs for task in vigor.list_tasks(root, spec)]
-    _claim(
+    claim_folder(
         root,
         {
             "format": "vigor",
@@ -126,7 +126,7 @@ def generate_vigor(
     )
     for spec in specs:
         vigor.write_labels(root, spec)
-    return _run(root, tasks, jobs, progress)
+    return run_tasks(root, tasks, jobs, progress)
 
 
 def generate_kitti(
@@ -166,9 +166,9 @@ def generate_kitti(
     SpecError
         If `jobs` is less than 1.
     """
-    _check_at_least("frames", frames, 3)
-    _check_at_least("seed", seed, 0)
-    _check_at_least("tile_size", tile_size, 512)
+    check_at_least("frames", frames, 3)
+    check_at_least("seed", seed, 0)
+    check_at_least("tile_size", tile_size, 512)
     columns, rows = image_size
     if rows < 16 or abs(columns / rows * kitti.ROWS / kitti.COLUMNS - 1) > 0.02:
         raise SynthError(
@@ -176,7 +176,7 @@ def generate_kitti(
         )
     jobs = thread_count(jobs)
     root = Path(out)
-    _claim(
+    claim_folder(
         root,
         {
             "format": "kitti",
@@ -192,15 +192,16 @@ def generate_kitti(
         spec = kitti.KittiSpec(seed, area, counts, (columns, rows), tile_size)
         tasks += kitti.list_tasks(root, spec)
         kitti.write_records(root, spec)
-    return _run(root, tasks, jobs, progress)
+    return run_tasks(root, tasks, jobs, progress)
 
 
-def _check_at_least(name: str, value: int, least: int) -> None:
+def check_at_least(name: str, value: int, least: int) -> None:
+    """Refuse a number that is too small."""
     if value < least:
         raise SynthError(f"{name} is {value}; it must be at least {least}")
 
 
-def _claim(root: Path, record: dict[str, Any]) -> None:
+def claim_folder(root: Path, record: dict[str, Any]) -> None:
     """Make the root this data set's, or refuse one that holds something else."""
     path = check_folder(root, SynthError) / RECORD
     try:
@@ -227,7 +228,16 @@ def _claim(root: Path, record: dict[str, Any]) -> None:
     write_text(path, json.dumps(record, indent=2) + "\n")
 
 
-def _run(root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | None) -> SynthResult:
+def run_tasks(
+    root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | None
+) -> SynthResult:
+    """Run tasks on processes of their own, and count their images.
+
+    Raises
+    ------
+    SynthError
+        If a process was ended from outside.
+    """
     jobs = min(jobs, len(tasks))
     total = sum(task.images for task in tasks)
     done = rendered = 0

@@ -302,3 +302,88 @@ def slicemask(run, cache):
         return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
     return invoke
+
+
+# A map of one place, and photographs taken on it.
+
+MAP_CENTRE = 51.9990, 4.3735
+MAP_METRES_PER_PIXEL, MAP_PIXELS = 0.5, 600
+
+
+@dataclass(frozen=True)
+class MappedPhotos:
+    """A map and its photographs: where each was taken (lat, lon, heading_deg)."""
+
+    map: Path
+    folder: Path
+    poses: dict[str, tuple[float, float, float]]
+
+
+@pytest.fixture(scope="session")
+def make_mapped_photos():
+    """The function that writes a map and photographs taken on it (see `write_mapped_photos`)."""
+    return write_mapped_photos
+
+
+@pytest.fixture(scope="session")
+def mapped(make_mapped_photos, tmp_path_factory):
+    """A map of 300 m, and six photographs on it."""
+    return make_mapped_photos(tmp_path_factory.mktemp("mapped"))
+
+
+def write_mapped_photos(folder, count=6, *, reach_m=60.0, gps_noise_m=2.0, seed=0):
+    """Write a GeoTIFF and panoramas taken on it, with GPS in their EXIF data, `MappedPhotos`."""
+    rasterio = pytest.importorskip("rasterio")
+    from PIL import ExifTags
+    from rasterio.transform import from_origin
+    from rasterio.warp import transform
+    from slicematch.localization.geodesy import offset_position
+
+    folder = Path(folder)
+    rng = np.random.default_rng(seed)
+    pixels = texture(rng, MAP_PIXELS, 40)
+    (x,), (y,) = transform("EPSG:4326", "EPSG:32631", [MAP_CENTRE[1]], [MAP_CENTRE[0]])
+    half_m = MAP_PIXELS / 2 * MAP_METRES_PER_PIXEL
+    origin = from_origin(x - half_m, y + half_m, MAP_METRES_PER_PIXEL, MAP_METRES_PER_PIXEL)
+    profile = {"driver": "GTiff", "dtype": "uint8", "count": 3, "crs": "EPSG:32631"}
+    profile |= {"width": MAP_PIXELS, "height": MAP_PIXELS, "transform": origin, "tiled": True}
+    with rasterio.open(folder / "ortho.tif", "w", **profile) as file:
+        file.write(np.moveaxis(pixels, -1, 0))
+    (folder / "photos").mkdir()
+    poses = {}
+    for number in range(count):
+        east_m, north_m = rng.uniform(-reach_m, reach_m, 2)
+        heading_deg = float(rng.uniform(0, 360))
+        azimuth_deg = heading_deg + 360 * ((np.arange(128) + 0.5) / 128 - 0.5)
+        ranges = 35 / (2 * half_m) * (1 - (np.arange(64) + 0.5) / 64)
+        place = 0.5 + east_m / (2 * half_m), 0.5 - north_m / (2 * half_m)
+        view = look_around(pixels, place, azimuth_deg, ranges)
+        lat, lon = offset_position(MAP_CENTRE, east_m, north_m)
+        noise = rng.normal(0, gps_noise_m, 2)
+        exif = Image.Exif()
+        exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps_tags(*offset_position((lat, lon), *noise)))
+        name = f"photo_{number:03d}.jpg"
+        Image.fromarray(view).save(folder / "photos" / name, exif=exif, quality=95)
+        poses[name] = lat, lon, heading_deg
+    return MappedPhotos(folder / "ortho.tif", folder / "photos", poses)
+
+
+def gps_tags(lat, lon):
+    """EXIF's GPS tags of a place, to a millimetre."""
+    from PIL.TiffImagePlugin import IFDRational
+
+    def parts(value):
+        return IFDRational(round(abs(value) * 10**8), 10**8), IFDRational(0), IFDRational(0)
+
+    return {
+        1: "S" if lat < 0 else "N", 2: parts(lat), 3: "W" if lon < 0 else "E", 4: parts(lon),
+    }  # fmt: skip
+
+
+@pytest.fixture
+def one_thread():
+    """Torch computes with one thread, as it does in each of Dask's processes."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -13,7 +13,10 @@ from slicematch.errors import ConfigError
 DATA_SETS = {
     "vigor": ("slicematch.data.vigor", "VigorConfig"),
     "kitti": ("slicematch.data.kitti", "KittiConfig"),
+    "table": ("slicematch.data.table", "TableConfig"),
 }
+# No name for commands: a program hands such samples to `train` and `evaluate` itself.
+OWN = "own"
 
 
 def config_class(name: str) -> type[DataConfig]:
@@ -22,7 +25,7 @@ def config_class(name: str) -> type[DataConfig]:
     Parameters
     ----------
     name : str
-        A key of `DATA_SETS`.
+        A key of `DATA_SETS`, or `OWN`.
 
     Returns
     -------
@@ -34,8 +37,9 @@ def config_class(name: str) -> type[DataConfig]:
     ConfigError
         If there is no such data set.
     """
-    if name not in DATA_SETS:
-        raise ConfigError(f"data is {name!r}; it must be one of {', '.join(DATA_SETS)}")
-    module, config = DATA_SETS[name]
+    known = {**DATA_SETS, OWN: ("slicematch.data.own", "OwnConfig")}
+    if name not in known:
+        raise ConfigError(f"data is {name!r}; it must be one of {', '.join(known)}")
+    module, config = known[name]
     found: type[DataConfig] = getattr(importlib.import_module(module), config)
     return found

@@ -19,8 +19,8 @@ from slicematch.data.augmentation import recolour
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import normalise
 from slicematch.data.loading import raise_lack_of_resources
-from slicematch.data.source import DataConfig, Part
-from slicematch.priors import in_place_prior
+from slicematch.data.source import DataConfig, Part, Source
+from slicematch.priors import count_outside
 
 log = logging.getLogger(__name__)
 Sample = dict[str, Any]
@@ -128,6 +128,19 @@ class PoseDataset(Dataset[Sample | None]):
     map the extent and the priors on place and heading onto themselves, so that a true pose stays
     among the candidates. Its colours change as `recolour` says.
 
+    **Own data.** `slicematch.train` and `slicematch.evaluate` take any other torch ``Dataset`` by
+    ``dataset=`` and ``validation=``. Its items are dicts of these four, with the images before they
+    are resized and normalised, which is left to the run; what this class says of augmentation and
+    of unreadable samples then holds for them:
+
+    - ``ground``: an image as `slicemask.images.read_image` takes it (path, PIL image or array
+      [H, W, 3], uint8 or float in [0, 1]), or a tensor [3, H, W] of such values;
+    - ``aerial``: likewise, square, north up;
+    - ``pose``: u, v, heading_deg of the ground image in the aerial one;
+    - ``metres_per_pixel``: of the aerial image as it is handed over.
+
+    A list ``names`` of its samples is used if it has one; else they are called by their numbers.
+
     An unreadable sample raises `SampleError`, unless the data set was given a `BadSampleLog`: then
     it is written down there and, in training, the next readable sample stands in, so that batches
     stay whole; in validation and test, where a stand-in would count twice, the item is None, which
@@ -141,6 +154,8 @@ class PoseDataset(Dataset[Sample | None]):
         Training and validation share the training file (`validation_fraction`).
     bad_sample_log : BadSampleLog, optional
         Where unreadable samples are written down; without it they raise.
+    source : Source, optional
+        The samples; by default what the settings open.
 
     Attributes
     ----------
@@ -158,6 +173,8 @@ class PoseDataset(Dataset[Sample | None]):
     left_out : int
         Labels that gave no sample because the camera stands off its tile; logged where there are
         any.
+    poses_need_images : bool
+        Whether a pose is known only once the sample's images are loaded.
 
     Raises
     ------
@@ -167,25 +184,28 @@ class PoseDataset(Dataset[Sample | None]):
     """
 
     def __init__(
-        self, config: DataConfig, part: str = "train", bad_sample_log: BadSampleLog | None = None
+        self,
+        config: DataConfig,
+        part: str = "train",
+        bad_sample_log: BadSampleLog | None = None,
+        source: Source | None = None,
     ):
         if part not in get_args(Part):
             raise DatasetError(f"part is {part!r}; it must be one of {', '.join(get_args(Part))}")
-        if not Path(config.root).is_dir():
-            raise DatasetError(
-                f"{config.root}: there is no such folder; name the root of the data tree"
-            )
+        if source is None:
+            config.check_root()
         self.config = config
         self.part = part
         self.bad_sample_log = bad_sample_log
         self.aerial_size = config.aerial_size
         self.heading_prior = config.heading_prior
-        self._source = config.open(cast(Part, part))
+        self._source = config.open(cast(Part, part)) if source is None else source
         self.names = self._source.names
         self.hfov_deg = self._source.hfov_deg
         self.left_deg, self.horizon = self._source.left_deg, self._source.horizon
         self.tile_metres = self._source.tile_metres
         self.left_out = self._source.left_out
+        self.poses_need_images = self._source.poses_need_images
         if self.left_out:
             log.warning(
                 "%d of the %s part's labels are left out, since the camera stands off its tile",
@@ -296,12 +316,8 @@ class PoseDataset(Dataset[Sample | None]):
         indices given. The central quarter is (0.25, 0.25, 0.75, 0.75). A place on the edge is
         inside.
         """
-        u0, v0, u1, v1 = extent
-        u, v, _ = self.poses()[slice(None) if indices is None else indices].T
-        outside = (u < u0) | (u > u1) | (v < v0) | (v > v1)
-        if place_prior is not None:
-            outside |= ~in_place_prior(u, v, place_prior)
-        return int(np.count_nonzero(outside))
+        poses = self.poses()[slice(None) if indices is None else indices]
+        return count_outside(poses, extent, place_prior)
 
     def __len__(self) -> int:
         return len(self.names)

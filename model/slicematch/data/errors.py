@@ -24,5 +24,13 @@ class SampleError(DataError, OSError):
     """One sample that is unusable, because a file of it is missing or broken."""
 
 
+class MapError(DataError, OSError):
+    """A map that is unusable: missing, broken, without a place on the globe, or of other pixels."""
+
+
+class PlaceError(SampleError):
+    """A place that is none, or that a map does not show."""
+
+
 class LoaderError(DataError, OSError):
     """Loading that ended because processes, shared memory or open files ran out."""

@@ -19,6 +19,8 @@ from slicemask.images import (
 )
 from slicematch.data.elevations import GroundFit
 
+# Headings are drawn on whole columns of a panorama of this width, VIGOR's.
+HEADING_COLUMNS = 2048
 # Above it, the rows of a panorama are no longer rows of equal elevation, and it is levelled.
 LEVEL_WITHIN_DEG = 2.0
 _NAMESPACE = "http://ns.google.com/photos/1.0/panorama/"
@@ -70,7 +72,7 @@ def read_panorama(source: Picture, fit: GroundFit = "crop", hfov_deg: float = 36
         inconsistent.
     """
     image, name = read_image(source), name_of(source)
-    data = _gpano(image.info.get("xmp"))
+    data = gpano_properties(image.info.get("xmp"))
     projection = data.get("ProjectionType", "equirectangular")
     if projection != "equirectangular":
         raise ImageError(
@@ -227,7 +229,31 @@ def _paste(image: Image.Image, width: int, height: int) -> Image.Image:
     return sphere
 
 
-def _gpano(xmp: object) -> dict[str, str]:
+def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | None) -> float:
+    """A heading for a panorama to be turned to, on whole columns of 2048.
+
+    Parameters
+    ----------
+    random : numpy.random.Generator
+        What it is drawn from.
+    prior : (centre, half width) or None
+        Within the half width of the centre, degrees; None for any heading.
+
+    Returns
+    -------
+    float
+        Degrees clockwise from north.
+    """
+    if prior is None:
+        column = random.integers(HEADING_COLUMNS)
+    else:
+        reach = int(prior[1] * HEADING_COLUMNS / 360)
+        centre = round(prior[0] * HEADING_COLUMNS / 360)
+        column = (centre + random.integers(-reach, reach + 1)) % HEADING_COLUMNS
+    return float(column * 360.0 / HEADING_COLUMNS)
+
+
+def gpano_properties(xmp: object) -> dict[str, str]:
     """The GPano properties in an XMP packet, as attributes or as elements."""
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp or "")
     bound = re.search(rf"""xmlns:([\w.-]+)\s*=\s*["']{re.escape(_NAMESPACE)}["']""", text)

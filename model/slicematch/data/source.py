@@ -203,6 +203,19 @@ class DataConfig:
         """
         return 0.0, 0.0, 1.0, 1.0
 
+    def check_root(self) -> None:
+        """Refuse a root that is not there.
+
+        Raises
+        ------
+        DatasetError
+            If it is no folder, or where a data set is a file, no such file.
+        """
+        if not Path(self.root).is_dir():
+            raise DatasetError(
+                f"{self.root}: there is no such folder; name the root of the data tree"
+            )
+
     def open(self, part: Part) -> "Source":
         """Open the samples of a part.
 
@@ -272,6 +285,8 @@ class Source(ABC):
     labels : int [n] or None
         Which label of its files, all counted in their order, each sample comes from; None where
         headings are not drawn but stand in the files.
+    poses_need_images : bool
+        Whether a pose is known only once the sample's images are loaded.
     """
 
     names: list[str]
@@ -283,6 +298,7 @@ class Source(ABC):
     headings_deg: NDArray[np.float64] | None = None
     labels: NDArray[np.intp] | None = None
     label_count: int = 0
+    poses_need_images: bool = False
 
     @abstractmethod
     def pose(self, index: int, random: np.random.Generator) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from PIL import Image
 from slicemask.images import read_aerial, resize
 from slicematch.data.elevations import crop_elevations
 from slicematch.data.errors import DatasetError
-from slicematch.data.panoramas import read_panorama, turn_panorama
+from slicematch.data.panoramas import draw_heading_deg, read_panorama, turn_panorama
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.data.text import parse_number, read_lines
 
@@ -29,7 +29,6 @@ METRES_PER_PIXEL = {
     "Chicago": 0.111262,
 }
 TILE_PIXELS = 640
-PANORAMA_COLUMNS = 2048
 # Widths of ground images are multiples of it, which the encoders' strides divide.
 _COLUMNS = 32
 
@@ -169,6 +168,8 @@ class VigorSource(Source):
 
     Attributes
     ----------
+    files : list of (Path, Path)
+        Each sample's panorama and tile.
     left_out : int
         Labels that were left out because abs(d0) or abs(d1) exceeds 320: the camera is off the
         tile.
@@ -197,7 +198,7 @@ class VigorSource(Source):
                 metres.append(METRES_PER_PIXEL[city] * TILE_PIXELS)
                 numbers.append(self.label_count - 1)
         chosen = config.choose(part, len(pairs))
-        self._files = [
+        self.files = [
             (root / city / "panorama" / panorama, root / city / "satellite" / aerial)
             for city, panorama, aerial in (pairs[k] for k in chosen)
         ]
@@ -212,7 +213,7 @@ class VigorSource(Source):
 
     def images(self, index: int, random: np.random.Generator) -> tuple[Image.Image, Image.Image]:
         """The images of a sample; see `Source.images`."""
-        panorama_file, aerial_file = self._files[index]
+        panorama_file, aerial_file = self.files[index]
         panorama = read_panorama(panorama_file, self.config.ground_fit)
         aerial = read_aerial(aerial_file)
         # North is at the centre of VIGOR's panoramas, unless the file itself says otherwise.
@@ -226,13 +227,7 @@ class VigorSource(Source):
     def _heading_deg(self, index: int, random: np.random.Generator) -> float:
         if self.headings_deg is not None:
             return float(self.headings_deg[index])
-        prior = self.config.heading_prior
-        if prior is None:
-            column = random.integers(PANORAMA_COLUMNS)
-        else:
-            reach = int(prior[1] * PANORAMA_COLUMNS / 360)
-            column = random.integers(-reach, reach + 1) % PANORAMA_COLUMNS
-        return float(column * 360.0 / PANORAMA_COLUMNS)
+        return draw_heading_deg(random, self.config.heading_prior)
 
 
 def _cities(config: VigorConfig, part: Part) -> list[str]:

@@ -158,6 +158,7 @@ def calibration_error(probabilities: ArrayLike, held: ArrayLike, bins: int = 10)
 def calibrate(
     run: str | Path,
     *,
+    dataset: Any = None,
     grid: str | None = None,
     root: str | None = None,
     checkpoint: Checkpoint = "best",
@@ -176,6 +177,8 @@ def calibrate(
     ----------
     run : path
         A run folder. Its ``calibration.json`` is written, or replaced.
+    dataset : torch.utils.data.Dataset, optional
+        Validation samples of the program's own, as `slicematch.PoseDataset` documents them.
     grid : str, optional
         Candidates such as "21x21x64"; the run's test grid by default.
     root : str, optional
@@ -208,7 +211,7 @@ def calibrate(
     folder = RunFolder(Path(run))
     config = folder.load_config()
     workers = check_workers(config.workers if workers is None else workers)
-    if config.validation_fraction == 0:
+    if config.validation_fraction == 0 and dataset is None:
         raise ConfigError(
             f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
             "temperature to; without one the loss's tau is used"
@@ -220,12 +223,16 @@ def calibrate(
     localizer = Localizer.load(
         run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
     )
-    dataset = config.dataset("validation", root)
+    samples = (
+        config.dataset("validation", root)
+        if dataset is None
+        else config.own_dataset(dataset, "validation")
+    )
     candidates = localizer.within()
     most = min(MOST_SAMPLES, max(1, MOST_SCORES // len(candidates.poses)))
-    chosen = evenly_spaced_indices(len(dataset), most)
+    chosen = evenly_spaced_indices(len(samples), most)
     loader = PoseLoader(
-        ChosenSamples(dataset, chosen),
+        ChosenSamples(samples, chosen),
         config.batch_size,
         num_workers=workers,
         collate_fn=collate,
@@ -235,7 +242,7 @@ def calibrate(
     read = 0
     with tempfile.TemporaryDirectory() as scratch:
         log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), config.max_bad_samples)
-        dataset.bad_sample_log = log
+        samples.bad_sample_log = log
         for batch in loader:
             if batch is not None:
                 images = (batch[kind].to(localizer.device) for kind in ("ground", "aerial"))

@@ -1,46 +1,49 @@
 """Evaluating a trained run on a part of its data set."""
 
 import math
-import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from torch import Tensor
 
 from slicemask.files import check_folder
 from slicematch.angles import angle_difference_deg
-from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
+from slicematch.data import OWN
+from slicematch.data.dataset import PoseDataset
 from slicematch.data.images import denormalise
-from slicematch.data.loading import PoseLoader
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import Calibration
 from slicematch.evaluation.drawing import draw_errors, draw_estimate
-from slicematch.evaluation.headings import HeadingUnit, read_headings
+from slicematch.evaluation.headings import HeadingUnit
+from slicematch.evaluation.measure import (
+    ESTIMATE,
+    TRUTH,
+    Measuring,
+    check_faults,
+    estimates_of,
+    measure,
+)
 from slicematch.evaluation.metrics import RECALLS, oracle_error, pose_errors
 from slicematch.evaluation.report import Evaluation, write_results
-from slicematch.evaluation.samples import ChosenSamples, evenly_spaced_indices
-from slicematch.localization.estimate import Estimate
+from slicematch.evaluation.samples import evenly_spaced_indices
 from slicematch.localization.localizer import Localizer
-from slicematch.localization.modes import REACH, REACH_DEG, within_reach
-from slicematch.localization.probabilities import credible_region
+from slicematch.localization.modes import REACH, REACH_DEG
 from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.localization.tiles import trained_window
+from slicematch.parts import Parts, Progress, Row, digest, run_parts, split_groups
 from slicematch.precision import Precision
+from slicematch.priors import count_outside
 from slicematch.runs.config import TrainConfig, check_workers
-from slicematch.runs.folder import Checkpoint
-
-Progress = Callable[[int, int], None]
+from slicematch.runs.folder import Checkpoint, RunFolder
 
 
 def evaluate(
     run: str | Path,
     *,
+    dataset: Any = None,
     grid: str | None = None,
     bank: str | Path | None = None,
     split: str | None = None,
@@ -59,6 +62,7 @@ def evaluate(
     cache: str | Path | None = None,
     refine: Refine = DEFAULT,
     precision: Precision = "32-true",
+    dask: str | None = None,
     progress: Progress | None = None,
 ) -> tuple[Evaluation, Path]:
     """Evaluate a run and write its results.
@@ -67,6 +71,9 @@ def evaluate(
     ----------
     run : path
         A run folder.
+    dataset : torch.utils.data.Dataset, optional
+        Samples of the program's own, as `slicematch.PoseDataset` documents them, instead of a part
+        of the run's data set.
     grid : str, optional
         Candidates such as "21x21x64"; the run's test grid by default.
     bank : path, optional
@@ -107,6 +114,10 @@ def evaluate(
         How estimates are refined (`slicematch.localization.refinement`).
     precision : {"32-true", "16-mixed", "bf16-mixed"}
         In which the encoders compute.
+    dask : str, optional
+        Measure on Dask: "local", a number of processes here, or a scheduler's address. Stopped and
+        repeated, it goes on where it was. Each process computes with its own threads, and loads
+        images by itself.
     progress : callable, optional
         Called with (samples done, samples in all).
 
@@ -131,25 +142,34 @@ def evaluate(
     recalls = _check_recalls(recalls)
     if workers is not None:
         check_workers(workers)
-    headings_deg = None if headings is None else read_headings(headings, headings_unit)
-    localizer = Localizer.load(
-        run,
-        bank,
-        grid=grid,
-        checkpoint=checkpoint,
-        device=device,
-        cache=cache,
-        refine=refine,
-        precision=precision,
+    loading = {
+        "bank": None if bank is None else str(bank),
+        "grid": grid,
+        "checkpoint": checkpoint,
+        "device": device,
+        "cache": None if cache is None else str(cache),
+        "refine": refine,
+        "precision": precision,
+    }
+    measuring = Measuring(
+        run=str(run),
+        part=part,
+        split=split,
+        root=root,
+        heading_half_width_deg=heading_half_width_deg,
+        headings=None if headings is None else str(headings),
+        headings_unit=headings_unit,
+        settings=tuple(loading.items()),
     )
-    if heading_half_width_deg is not None:
-        _use_heading_prior(localizer, heading_half_width_deg)
+    if dask is not None and dataset is not None:
+        raise ConfigError(
+            "a data set of the program's own is measured in one process, without dask"
+        )
+    localizer, samples = measuring.load(dataset)
     config = localizer.config
     split = split or config.split
-    dataset = config.dataset(part, root, split)
-    if headings_deg is not None:
-        dataset.use_headings(headings_deg)
-    name = [split, part, str(localizer.grid), checkpoint]
+    name = [split, part] if dataset is None else [OWN]
+    name += [str(localizer.grid), checkpoint]
     if refine != "none":
         name.append(refine)
     if precision != "32-true":
@@ -167,11 +187,11 @@ def evaluate(
             "folder with --out"
         )
     check_folder(folder, RunError)
-    _check_tiles(dataset, localizer)
+    _check_tiles(samples, localizer)
     settings = {
         "run": str(run),
         "checkpoint": checkpoint,
-        "data": config.data,
+        "data": config.data if dataset is None else OWN,
         "split": split,
         "part": part,
         "grid": str(localizer.grid),
@@ -181,19 +201,20 @@ def evaluate(
         "place_prior": config.place_prior,
         "headings": None if headings is None else str(headings),
         "seed": config.seed,
-        "labels_left_out": dataset.left_out,
+        "labels_left_out": samples.left_out,
         "refine": refine,
         "precision": precision,
         "temperature": localizer.temperature,
         "calibrated": localizer.calibrated,
     }
-    chosen = evenly_spaced_indices(len(dataset), limit)
-    workers = config.workers if workers is None else workers
-    with tempfile.TemporaryDirectory() as scratch:
-        # Those met in worker processes too; `_measure` sees to the limit.
-        dataset.bad_sample_log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(dataset))
-        evaluation = _measure(settings, localizer, dataset, chosen, recalls, workers, progress)
-        figures = _draw(evaluation, localizer, dataset)
+    chosen = evenly_spaced_indices(len(samples), limit)
+    if dask is None:
+        workers = config.workers if workers is None else workers
+        rows = measure(localizer, samples, chosen, workers, progress)
+    else:
+        rows = _measure_on_dask(measuring, settings, chosen, config, folder, dask, progress)
+    evaluation = _evaluation(settings, localizer, samples, rows, recalls)
+    figures = _draw(evaluation, localizer, samples)
     write_results(evaluation, figures, folder)
     return evaluation, folder
 
@@ -208,14 +229,6 @@ def _check_recalls(recalls: Sequence[float]) -> tuple[float, ...]:
     return values
 
 
-def _use_heading_prior(localizer: Localizer, half_width_deg: float) -> None:
-    """Give a localizer another heading prior than its run's, around the same centre."""
-    config: TrainConfig = replace(localizer.config, heading_half_width_deg=half_width_deg)
-    # A temperature was fitted to scores under the run's own priors.
-    localizer.calibrated &= config.heading_prior() == localizer.config.heading_prior()
-    localizer.config = config
-
-
 def _check_tiles(dataset: PoseDataset, localizer: Localizer) -> None:
     """Hold the tiles' size on the ground against that in training."""
     size = dataset.aerial_size
@@ -223,75 +236,78 @@ def _check_tiles(dataset: PoseDataset, localizer: Localizer) -> None:
         trained_window(size, metres / size, localizer.tile_side_m, crop=False)
 
 
-def _measure(
+def _measure_on_dask(
+    measuring: Measuring,
+    settings: dict[str, Any],
+    chosen: list[int],
+    config: TrainConfig,
+    folder: Path,
+    dask: str,
+    progress: Progress | None,
+) -> list[Row]:
+    """Rows of the samples chosen, from many processes: the same as from one."""
+    request = {**settings, "samples": digest(chosen), "weights": _weights(settings)}
+    # Whole batches, as one process makes them.
+    size = config.batch_size
+    batches = [chosen[start : start + size] for start in range(0, len(chosen), size)]
+    parts = Parts(folder / "parts", request)
+    table = run_parts(measuring, parts, split_groups(batches), dask, progress)
+    rows: list[Row] = table.to_pylist()
+    parts.remove()
+    check_faults([row["error"] for row in rows if row["error"] is not None], config)
+    return rows
+
+
+def _weights(settings: dict[str, Any]) -> str:
+    return digest(RunFolder(Path(settings["run"])).checkpoint(settings["checkpoint"]))
+
+
+def _evaluation(
     settings: dict[str, Any],
     localizer: Localizer,
     dataset: PoseDataset,
-    chosen: list[int],
+    rows: list[Row],
     recalls: tuple[float, ...],
-    workers: int,
-    progress: Progress | None,
 ) -> Evaluation:
-    """Estimate the pose of every sample chosen.
+    """The evaluation that rows of samples make.
 
     Raises
     ------
     RunError
-        If none is readable, or more are unreadable than the run's settings allow.
+        If none of them is readable.
     """
-    log, config = dataset.bad_sample_log, localizer.config
-    assert log is not None
-    loader = PoseLoader(
-        ChosenSamples(dataset, chosen),
-        config.batch_size,
-        num_workers=workers,
-        collate_fn=collate,
-    )
-    read: list[int] = []
-    answers: list[_Answer] = []
-    for number, batch in enumerate(loader, start=1):
-        if batch is not None:
-            read += batch["index"].tolist()
-            metres = dataset.tile_metres[batch["index"].numpy()]
-            found = _estimates(localizer, batch["ground"], batch["aerial"], metres)
-            answers += map(_answer, found, batch["pose"].numpy())
-        if progress is not None:
-            progress(min(number * config.batch_size, len(chosen)), len(chosen))
-        faults = log.entries()
-        if len(faults) > config.max_bad_samples:
-            raise RunError(
-                f"more than {config.max_bad_samples} samples are unreadable; mend them, or name "
-                f"the data's root; first: {next(iter(faults.values()))}"
-            )
+    read = [row for row in rows if row.get("error") is None]
+    unread = [row for row in rows if row.get("error") is not None]
     if not read:
         raise RunError(
-            f"none of the {len(chosen)} samples is readable; mend them, or name the data's root; "
-            f"first: {next(iter(faults.values()))}"
+            f"none of the {len(rows)} samples is readable; mend them, or name the data's root; "
+            f"first: {unread[0]['error']}"
         )
-    estimates = np.array([answer.pose for answer in answers])
-    truths, tile_metres = dataset.poses()[read], dataset.tile_metres[read]
-    settings["headings_outside_the_prior"] = _count_beyond(truths, config.heading_prior())
+    truths, estimates = (
+        np.array([[row[name] for name in names] for row in read]) for names in (TRUTH, ESTIMATE)
+    )
+    columns = {
+        name: np.array([row[name] for row in read])
+        for name in ("probability", "within_reach", "in_credible_region", "region_area")
+    }
+    tile_metres = np.array([row["tile_metres"] for row in read])
+    prior = localizer.config.heading_prior()
+    settings["headings_outside_the_prior"] = _count_beyond(truths, prior)
     return Evaluation(
         settings=settings,
-        indices=read,
-        names=[dataset.names[index] for index in read],
+        indices=[row["index"] for row in read],
+        names=[dataset.names[row["index"]] for row in read],
         truths=truths,
         estimates=estimates,
-        scores=np.array([answer.score for answer in answers]),
+        scores=np.array([row["score"] for row in read]),
         tile_metres=tile_metres,
         errors=pose_errors(estimates, truths, tile_metres),
         oracle=oracle_error(localizer.within().poses, truths, tile_metres),
-        calibration=Calibration(
-            probability=np.array([answer.probability for answer in answers]),
-            within_reach=np.array([answer.within_reach for answer in answers]),
-            in_credible_region=np.array([answer.in_credible_region for answer in answers]),
-            region_area=np.array([answer.region_area for answer in answers]),
-        ),
-        outside=dataset.count_outside(localizer.grid.extent, read),
+        calibration=Calibration(**columns),
+        outside=count_outside(truths, localizer.grid.extent),
         unreadable=[
-            {"index": index, "name": name, "error": faults.get(name, "is unreadable")}
-            for index in sorted({*chosen} - {*read})
-            for name in [dataset.names[index]]
+            {"index": row["index"], "name": dataset.names[row["index"]], "error": row["error"]}
+            for row in sorted(unread, key=lambda row: row["index"])
         ],
         recalls=recalls,
     )
@@ -303,32 +319,6 @@ def _count_beyond(truths: NDArray[np.float64], prior: tuple[float, float] | None
         return 0
     away = np.abs(angle_difference_deg(truths[:, 2], prior[0]))
     return int(np.count_nonzero(away > prior[1] + 1e-9))
-
-
-class _Answer(NamedTuple):
-    """What is kept of an estimate: not its scores, which are many."""
-
-    pose: NDArray[np.float64]
-    score: float
-    probability: float
-    within_reach: bool
-    in_credible_region: bool
-    region_area: float
-
-
-def _answer(estimate: Estimate, truth: NDArray[np.float64]) -> _Answer:
-    grid = estimate.grid
-    region = credible_region(estimate.place_map)
-    row, column = np.abs(grid.v - truth[1]).argmin(), np.abs(grid.u - truth[0]).argmin()
-    u0, v0, u1, v1 = grid.extent
-    return _Answer(
-        estimate.pose,
-        estimate.score,
-        estimate.modes[0].probability,
-        bool(within_reach(estimate.pose, truth[None], grid)[0]),
-        bool(region[row, column]),
-        float(region.mean() * (u1 - u0) * (v1 - v0)),
-    )
 
 
 def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) -> dict[str, Figure]:
@@ -346,7 +336,9 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) ->
         if sample is None:  # it has become unreadable since
             continue
         metres = evaluation.tile_metres[n : n + 1]
-        (estimate,) = _estimates(localizer, sample["ground"][None], sample["aerial"][None], metres)
+        (estimate,) = estimates_of(
+            localizer, sample["ground"][None], sample["aerial"][None], metres
+        )
         figures[case] = draw_estimate(
             denormalise(sample["aerial"], *normalisation),
             estimate.heat_map,
@@ -365,14 +357,3 @@ def _draw(evaluation: Evaluation, localizer: Localizer, dataset: PoseDataset) ->
             north_up=localizer.config.data != "kitti",
         )
     return figures
-
-
-def _estimates(
-    localizer: Localizer, ground: Tensor, aerial: Tensor, tile_metres: NDArray[np.float64]
-) -> list[Estimate]:
-    """Estimates of normalised images."""
-    with torch.no_grad():
-        descriptors = localizer.model.encode_ground(ground.to(localizer.device))
-        features = localizer.model.encode_aerial(aerial.to(localizer.device))
-    pixels = [aerial.shape[-1]] * len(aerial)
-    return localizer.estimate(descriptors, features, pixels, tile_metres.tolist())

@@ -59,7 +59,28 @@ def offset_position(
     return float(found_latitude), float(found_longitude)
 
 
-def check_centre(centre: tuple[float, float]) -> tuple[float, float]:
+def offset_m(centre: tuple[float, float], place: tuple[float, float]) -> tuple[float, float]:
+    """East and north of a place from a centre, metres: the inverse of `offset_position`.
+
+    Parameters
+    ----------
+    centre, place : (latitude, longitude)
+        Degrees.
+
+    Examples
+    --------
+    >>> east, north = offset_m((52.0, 4.36), offset_position((52.0, 4.36), 30.0, -40.0))
+    >>> round(east, 6), round(north, 6)
+    (30.0, -40.0)
+    """
+    azimuth_deg, _, length = _WGS84.inv(centre[1], centre[0], place[1], place[0])
+    azimuth = math.radians(azimuth_deg)
+    return float(length * math.sin(azimuth)), float(length * math.cos(azimuth))
+
+
+def check_centre(
+    centre: tuple[float, float], what: str = "the tile's centre"
+) -> tuple[float, float]:
     """Return the latitude and longitude of a tile's centre, degrees.
 
     A latitude beyond web maps, with a longitude that would be a latitude, is logged: the two are
@@ -76,14 +97,15 @@ def check_centre(centre: tuple[float, float]) -> tuple[float, float]:
     if not (abs(latitude) <= _MOST_LATITUDE and abs(longitude) <= 180.0):
         hint = f"; if the two are swapped, give {swapped}" if could_be_swapped else ""
         raise ConfigError(
-            f"the tile's centre is {latitude:g},{longitude:g}; it must be a latitude from "
+            f"{what} is {latitude:g},{longitude:g}; it must be a latitude from "
             f"-{_MOST_LATITUDE:g} to {_MOST_LATITUDE:g} and a longitude from -180 to 180 degrees"
             f"{hint}"
         )
     if abs(latitude) > _MAP_LATITUDE and could_be_swapped:
         log.warning(
-            "the tile's centre is at latitude %g, beyond all web maps; latitude comes first: if "
-            "the two are swapped, give %s",
+            "%s is at latitude %g, beyond all web maps; latitude comes first: if the two are "
+            "swapped, give %s",
+            what,
             latitude,
             swapped,
         )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from slicemask import Frustum, PoseGrid
 from slicemask.files import write_text
 from slicemask.geometry.frustum import Projection
-from slicematch.data import DATA_SETS, config_class
+from slicematch.data import DATA_SETS, OWN, config_class
 from slicematch.data.source import DataConfig, Split
 from slicematch.errors import ConfigError
 from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
@@ -48,9 +48,10 @@ class TrainConfig:
     Parameters
     ----------
     data : str
-        The data set, by its name in `slicematch.data`.
+        The data set, by its name in `slicematch.data`; "own" for samples that a program hands to
+        `train` itself.
     root : str
-        The folder of the data tree.
+        The folder of the data tree, or a table of photographs.
     split : {"same-area", "cross-area"}
         Where the test part lies; for VIGOR also which cities train.
     data_settings : mapping
@@ -77,6 +78,11 @@ class TrainConfig:
         timm backbone.
     weights : str
         What both encoders start from: "imagenet", "none", or a file.
+    init : str or None
+        A run folder, or the name of a run that comes with slicemask, whose weights training starts
+        from (ours): fine-tuning. The command also takes over its network's settings.
+    freeze_encoders : bool
+        Leave the encoders' backbones as they are (ours), for few samples.
     stride : int
         Stride of the feature maps, in pixels.
     pyramid : int or None
@@ -159,7 +165,10 @@ class TrainConfig:
     accelerator : str
         As Lightning names them: "cpu", "cuda", ...; "auto" is CUDA where it is there, else the CPU.
     devices : int
-        How many of them; of the CPU at most as many as it has processors.
+        How many of them, on each node; of the CPU at most as many as it has processors.
+    num_nodes : int
+        Machines that train together. Each runs the same command, under torchrun, SLURM's srun, or
+        with Lightning's environment variables.
     projection : {"equirectangular", "pinhole"} or None
         Of the ground images; None for the data set's.
     prior_centre_deg : float or None
@@ -186,7 +195,7 @@ class TrainConfig:
     """
 
     data: str
-    root: str
+    root: str = ""
     split: Split = "same-area"
     data_settings: Mapping[str, Any] = field(default_factory=dict, metadata=_KEPT)
     heading_half_width_deg: float | None = field(
@@ -199,6 +208,8 @@ class TrainConfig:
     hfov_deg: float | None = field(default=None, metadata={"option": "hfov"})
     encoder: str = "vgg16"
     weights: str = "imagenet"
+    init: str | None = None
+    freeze_encoders: bool = False
     stride: int = 16
     pyramid: int | None = None
     pyramid_to: int = 32
@@ -234,6 +245,7 @@ class TrainConfig:
     precision: Precision = "32-true"
     accelerator: str = "auto"
     devices: int = 1
+    num_nodes: int = 1
     projection: Projection | None = field(default=None, metadata=_KEPT)
     prior_centre_deg: float | None = field(default=None, metadata=_KEPT)
     ground_aspect: float | None = field(default=None, metadata=_KEPT)
@@ -246,8 +258,17 @@ class TrainConfig:
         for setting in fields(self):
             value = convert(setting.name, getattr(self, setting.name), setting.type)
             object.__setattr__(self, setting.name, value)
-        self._check("data", self.data in DATA_SETS, f"one of {', '.join(DATA_SETS)}")
-        for name in ("stride", "aerial_size", "slices", "batch_size", "epochs", "devices"):
+        self._check("data", self.data in (*DATA_SETS, OWN), f"one of {', '.join(DATA_SETS)}")
+        self._check("root", self.root != "" or self.data == OWN, "a folder or a table")
+        for name in (
+            "stride",
+            "aerial_size",
+            "slices",
+            "batch_size",
+            "epochs",
+            "devices",
+            "num_nodes",
+        ):
             self._check(name, getattr(self, name) >= 1, "at least 1")
         for name in ("near_negatives", "heat_map_every", "max_bad_samples"):
             self._check(name, getattr(self, name) >= 0, "at least 0")
@@ -298,7 +319,7 @@ class TrainConfig:
         for name in self._from_data():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(data, name))
-        own = {name: _plain(getattr(data, name)) for name in data.own_settings()}
+        own = {name: plain(getattr(data, name)) for name in data.own_settings()}
         object.__setattr__(self, "data_settings", own)
 
     def _from_data(self) -> tuple[str, ...]:
@@ -368,7 +389,7 @@ class TrainConfig:
         """Write the settings as YAML, in the order of their documentation, whole or not at all."""
         import yaml  # here, so that the settings can be listed without it
 
-        text = yaml.safe_dump(_plain(asdict(self)), sort_keys=False, default_flow_style=None)
+        text = yaml.safe_dump(plain(asdict(self)), sort_keys=False, default_flow_style=None)
         write_text(Path(path), text, ConfigError)
 
     def grid(self, name: str, grid: str | None = None) -> PoseGrid:
@@ -419,17 +440,19 @@ class TrainConfig:
         """Mean and deviation of the images; ImageNet's as long as `image_mean` is None."""
         return self.image_mean or IMAGENET_MEAN, self.image_std or IMAGENET_STD
 
-    def data_config(self, root: str | None = None, split: str | None = None) -> DataConfig:
-        """Settings of the data set, on request with another root or split.
+    def data_config(
+        self, root: str | None = None, split: str | None = None, data: str | None = None
+    ) -> DataConfig:
+        """Settings of the data set, on request with another root or split, or of another one.
 
         Raises
         ------
         ConfigError
             If the data set refuses them.
         """
-        kind = config_class(self.data)
+        kind = config_class(self.data if data is None else data)
         own = kind.own_settings()
-        unknown = sorted(set(self.data_settings) - set(own))
+        unknown = sorted(set(self.data_settings) - set(own)) if data is None else []
         if unknown:
             raise ConfigError(
                 f"setting {unknown[0]!r} is unknown to {self.data}; its own are {', '.join(own)}"
@@ -457,9 +480,15 @@ class TrainConfig:
                 value = self.data_settings[setting.name]
                 settings[setting.name] = convert(setting.name, value, setting.type)
         try:
-            return kind(**settings)
+            found = kind(**settings)
         except ValueError as error:
             raise ConfigError(str(error)) from error
+        if self.projection not in (None, found.projection) and kind is not config_class(OWN):
+            raise ConfigError(
+                f"{found.root}: its images are {found.projection}, and the run's are "
+                f"{self.projection}; name images of the run's kind"
+            )
+        return found
 
     def dataset(
         self,
@@ -472,6 +501,36 @@ class TrainConfig:
         from slicematch.data.dataset import PoseDataset  # needs torch, which settings do not
 
         return PoseDataset(self.data_config(root, split), part, bad_sample_log)
+
+    def own_dataset(self, samples: Any, part: str) -> "PoseDataset":
+        """A program's own samples, as `PoseDataset` documents them, with these settings.
+
+        Parameters
+        ----------
+        samples : torch.utils.data.Dataset
+            What the program hands over.
+        part : {"train", "validation", "test"}
+            What they are for.
+
+        Raises
+        ------
+        ConfigError
+            If the ground images' field of view is not known.
+        DatasetError
+            If they are no such samples.
+        """
+        from slicematch.data.dataset import PoseDataset  # needs torch, which settings do not
+        from slicematch.data.own import OwnSource
+
+        hfov_deg = 360.0 if self.projection == "equirectangular" else None
+        hfov_deg = hfov_deg if self.hfov_deg is None else self.hfov_deg
+        if self.projection is None or hfov_deg is None:
+            raise ConfigError(
+                "hfov_deg is None; of a program's own pinhole images it must be known, in degrees"
+            )
+        config = self.data_config(data=OWN)
+        source = OwnSource(samples, config, self.projection, hfov_deg)
+        return PoseDataset(config, part, source=source)
 
 
 def _needs_data(settings: Mapping[str, Any]) -> bool:
@@ -497,12 +556,12 @@ def _renamed(settings: Mapping[str, Any], data: type[DataConfig] | None) -> dict
     return renamed
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A value of lists, dicts and plain values, as YAML has them."""
     if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
+        return {key: plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
+        return [plain(part) for part in value]
     return str(value) if isinstance(value, Path) else value
 
 

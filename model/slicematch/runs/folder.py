@@ -225,7 +225,8 @@ def plan_run(
     Parameters
     ----------
     settings : mapping
-        Settings asked for by name; they go before all others.
+        Settings asked for by name; they go before all others. With ``init``, a run's settings of
+        the network stand behind them.
     config_file : path, optional
         A YAML file of further settings.
     out : path, optional
@@ -245,6 +246,10 @@ def plan_run(
     run = RunFolder(folder)
     if resume and run.config_file.is_file():
         asked = {**run.read_settings(), **asked}
+    elif asked.get("init") is not None:
+        from slicematch.runs.start import network_settings  # which needs this file
+
+        asked = {**network_settings(asked["init"]), **asked}
     return TrainConfig.from_dict(asked), folder
 
 

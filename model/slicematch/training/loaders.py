@@ -1,12 +1,13 @@
 """Loaders of the training and the validation part."""
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
 from torch.utils.data import DistributedSampler
 
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
-from slicematch.data.dataset import PoseDataset, collate
+from slicematch.data.dataset import BadSampleLog, PoseDataset, collate
 from slicematch.data.loading import PoseLoader
 from slicematch.runs.config import TrainConfig
 
@@ -24,6 +25,13 @@ class PoseDataModule(lightning.LightningDataModule):
         The parts; None for no validation.
     first_epoch : int
         From 0; a resumed run's first one is not.
+    open_log : callable
+        Gives the log of unreadable samples, when training begins.
+
+    Attributes
+    ----------
+    bad_sample_log : BadSampleLog or None
+        Once training has begun.
     """
 
     def __init__(
@@ -32,12 +40,22 @@ class PoseDataModule(lightning.LightningDataModule):
         training: PoseDataset,
         validation: PoseDataset | None,
         first_epoch: int,
+        open_log: Callable[[], BadSampleLog],
     ) -> None:
         super().__init__()
         self.config = config
         self.training = training
         self.validation = validation
         self.first_epoch = first_epoch
+        self.bad_sample_log: BadSampleLog | None = None
+        self._open_log = open_log
+
+    def setup(self, stage: str) -> None:
+        """Give the parts their log of unreadable samples."""
+        self.bad_sample_log = self._open_log()
+        for dataset in (self.training, self.validation):
+            if dataset is not None:
+                dataset.bad_sample_log = self.bad_sample_log
 
     def train_dataloader(self) -> PoseLoader:
         """The training part, shuffled."""

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from slicemask import slice_masks
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
@@ -64,10 +64,18 @@ class TrainingModule(lightning.LightningModule):
                 config.seed,
             )
         self._estimates: list[tuple[Tensor, ...]] = []
+        for backbone in self._frozen():
+            backbone.requires_grad_(False)
+
+    def _frozen(self) -> list[nn.Module]:
+        """The parts of the model that do not train."""
+        encoders = (self.model.ground_encoder, self.model.aerial_encoder)
+        return [encoder.backbone for encoder in encoders] if self.config.freeze_encoders else []
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam, as in the paper, with its constant learning rate or the one-cycle schedule."""
-        optimizer = torch.optim.Adam(self.parameters(), lr=self.config.learning_rate)
+        trained = [parameter for parameter in self.parameters() if parameter.requires_grad]
+        optimizer = torch.optim.Adam(trained, lr=self.config.learning_rate)
         if self.config.schedule == "constant":
             return optimizer
         schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -93,6 +101,8 @@ class TrainingModule(lightning.LightningModule):
         # Lightning sets it without declaring it.
         data: PoseDataModule = self.trainer.datamodule  # type: ignore[attr-defined]
         data.training.set_epoch(self.current_epoch)
+        for backbone in self._frozen():
+            backbone.eval()  # nor do the statistics of batches move
         state = [self.config.seed, self.current_epoch, self.global_rank]
         torch.manual_seed(int(np.random.SeedSequence(state).generate_state(1)[0]))
 

@@ -6,10 +6,10 @@ an uninterrupted one does.
 """
 
 import logging
-import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,20 +17,22 @@ from slicemask import PoseGrid, build_bank
 from slicemask.files import check_folder
 from slicemask.progress import TimedLines
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
+from slicematch.data import OWN
 from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import calibrate
 from slicematch.localization.localizer import load_candidates
 from slicematch.network.encoders import encoder_normalisation
 from slicematch.network.slicematch import SliceMatch
-from slicematch.runs.config import TrainConfig
+from slicematch.runs.config import TrainConfig, plain
 from slicematch.runs.folder import RunFolder, build_model, load_weights, read_checkpoint
+from slicematch.runs.start import start_from
 from slicematch.scoring.candidates import Candidates
 from slicematch.training.callbacks import make_callbacks
 from slicematch.training.loaders import PoseDataModule
 from slicematch.training.module import TrainingModule
 from slicematch.training.progress import ProgressLines
-from slicematch.training.trainer import make_trainer
+from slicematch.training.trainer import is_first_process, make_trainer, world_size
 
 import lightning.pytorch as lightning  # isort: skip
 from lightning.pytorch.callbacks import RichProgressBar  # isort: skip
@@ -56,6 +58,8 @@ def train(
     config: TrainConfig,
     out: str | Path,
     *,
+    dataset: Any = None,
+    validation: Any = None,
     resume: bool = False,
     cache: str | Path | None = None,
     progress: bool = True,
@@ -68,6 +72,11 @@ def train(
         What to train.
     out : path
         The run folder (`slicematch.runs.folder`), new or empty.
+    dataset : torch.utils.data.Dataset, optional
+        Samples of the program's own to train on, as `slicematch.PoseDataset` documents them; the
+        settings' ``data`` is then "own".
+    validation : torch.utils.data.Dataset, optional
+        The same to validate with; without them there is no validation.
     resume : bool
         Go on from the last finished epoch of the run that is there, with the same losses as if
         it had never stopped; without one, start. The settings must be those of the run, but for
@@ -95,8 +104,8 @@ def train(
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     # Everything that can be wrong with the request is found before the folder is touched.
     run = RunFolder(check_folder(out, RunError))
-    # The processes of further devices find the folder that the first one has made.
-    if is_first_process() and not resume and run.path.exists() and any(run.path.iterdir()):
+    # The processes of further devices and nodes find the folder that the first one has made.
+    if is_first_process(config) and not resume and run.path.exists() and any(run.path.iterdir()):
         raise RunError(
             f"{run.path}: is not empty; go on with the run that is there by --resume, or name "
             "another folder with --out"
@@ -105,16 +114,19 @@ def train(
     last = run.checkpoint("last")
     resuming = resume and last.is_file()
     config = _with_normalisation(config, run.load_config() if resuming else None)
-    training = config.dataset("train")
-    validation = config.dataset("validation") if config.validation_fraction > 0 else None
-    datasets = [training] if validation is None else [training, validation]
+    training, validating = _parts(config, dataset, validation)
+    datasets = [training] if validating is None else [training, validating]
     config = _with_facts_of_the_data(config, training, run.load_config() if resuming else None)
     if resuming:
         _check_same(run, config)
     # A resumed run takes its weights from the checkpoint; the encoders' own need not be there.
-    model = build_model(config, weights="none" if resuming else None)
+    model = build_model(config, weights="none" if resuming or config.init else None)
     if not resuming:
-        config = replace(config, weights_source=model.ground_encoder.weights_source)
+        source = model.ground_encoder.weights_source
+        if config.init is not None:
+            start_from(model, config.init)
+            source = f"run {Path(config.init).name}"
+        config = replace(config, weights_source=source)
     _check_batches(config, model, len(training))
     first_epoch = _finished_epoch(last, model) + 1 if resuming else 0
     train_candidates, test_candidates = (
@@ -122,25 +134,31 @@ def train(
         for name in ("train_grid", "test_grid")
     )
 
-    callbacks = make_callbacks(run, config, training, validation)
+    callbacks = make_callbacks(run, config, training, validating)
     callbacks.append(
         RichProgressBar(console_kwargs={"stderr": True}) if progress else ProgressLines()
     )
     trainer = make_trainer(config, run, callbacks, progress)
 
-    if is_first_process():
+    if is_first_process(config):
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
         if config.weights_source is not None and not resuming:
             log.info("the encoders start from the weights %s", config.weights_source)
         _warn_of_places_outside(config, datasets)
-    bad_sample_log = BadSampleLog(
-        run.bad_samples_file, config.max_bad_samples, keep=resuming or not is_first_process()
-    )
-    for dataset in datasets:
-        dataset.bad_sample_log = bad_sample_log
     module = TrainingModule(config, model, train_candidates, test_candidates)
-    data = PoseDataModule(config, training, validation, first_epoch)
+    data = PoseDataModule(
+        config,
+        training,
+        validating,
+        first_epoch,
+        # Once all processes have met, and the first one has made the folder.
+        lambda: BadSampleLog(
+            run.bad_samples_file,
+            config.max_bad_samples,
+            keep=resuming or not is_first_process(config),
+        ),
+    )
     with warnings.catch_warnings():
         # Of Lightning's own use of torch; the checkpoints folder of a resumed run is not empty.
         warnings.filterwarnings("ignore", message=".*isinstance.treespec, LeafSpec.")
@@ -160,12 +178,13 @@ def train(
                 )
             raise
     if trainer.is_global_zero:
-        if message := bad_sample_log.report():
+        if data.bad_sample_log and (message := data.bad_sample_log.report()):
             log.warning(message)
-        if validation is not None:
+        if validating is not None:
             device = "cpu" if config.accelerator == "cpu" else "auto"
             calibrate(
                 run.path,
+                dataset=validation,
                 device=device,
                 cache=cache,
                 progress=TimedLines("calibrating", "samples", log.info),
@@ -173,9 +192,21 @@ def train(
     return run.path
 
 
-def is_first_process() -> bool:
-    """Whether this is the process that was started, not one that Lightning adds for a device."""
-    return os.environ.get("LOCAL_RANK", "0") == "0"
+def _parts(
+    config: TrainConfig, dataset: Any, validation: Any
+) -> tuple[PoseDataset, PoseDataset | None]:
+    """The training and the validation part: the settings', or the program's own."""
+    own_samples = dataset is not None
+    if own_samples != (config.data == OWN) or (validation is not None and not own_samples):
+        raise ConfigError(
+            f"data is {config.data!r}; samples of a program's own (dataset=...) go with data "
+            f"{OWN!r}, and other data without"
+        )
+    if dataset is not None:
+        own = config.own_dataset
+        return own(dataset, "train"), None if validation is None else own(validation, "validation")
+    validated = config.validation_fraction > 0
+    return config.dataset("train"), config.dataset("validation") if validated else None
 
 
 def _with_normalisation(config: TrainConfig, before: TrainConfig | None) -> TrainConfig:
@@ -200,6 +231,7 @@ def _with_facts_of_the_data(
     A resumed run keeps the size it has, which its bands are shares of.
     """
     side = None if before is None else before.tile_side_m
+    own = {name: getattr(training.config, name) for name in training.config.own_settings()}
     if config.hfov_deg is None:
         config = replace(
             config,
@@ -209,6 +241,7 @@ def _with_facts_of_the_data(
         )
     return replace(
         config,
+        data_settings={name: plain(value) for name, value in own.items()},
         tile_side_m=float(np.median(training.tile_metres)) if side is None else side,
     )
 
@@ -217,7 +250,7 @@ def _check_batches(config: TrainConfig, model: SliceMatch, samples: int) -> None
     """Refuse a batch that is too small for the encoders, which would end the first epoch."""
     encoders = model.ground_encoder, model.aerial_encoder
     needed = max(encoder.smallest_batch for encoder in encoders)
-    each = -(-samples // config.devices)  # the last ones are repeated
+    each = -(-samples // world_size(config))  # the last ones are repeated
     smallest = min(config.batch_size, each % config.batch_size or config.batch_size)
     if smallest < needed:
         raise ConfigError(
@@ -264,6 +297,7 @@ def _finished_epoch(checkpoint: Path, model: SliceMatch) -> int:
 
 def _warn_of_places_outside(config: TrainConfig, datasets: list[PoseDataset]) -> None:
     """Say how many true places no candidate can find."""
+    datasets = [dataset for dataset in datasets if not dataset.poses_need_images]
     outside = sum(
         dataset.count_outside(config.grid("test_grid").extent, place_prior=config.place_prior)
         for dataset in datasets

@@ -1,5 +1,7 @@
 """Lightning's trainer, as the settings ask for it."""
 
+import os
+
 from slicemask.threads import thread_count
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
 from slicematch.devices import device_name
@@ -10,6 +12,8 @@ from slicematch.runs.folder import RunFolder
 import lightning.pytorch as lightning  # isort: skip
 from lightning.fabric.utilities.exceptions import MisconfigurationException  # isort: skip
 from lightning.pytorch.loggers import TensorBoardLogger  # isort: skip
+
+_RANKS = ("RANK", "LOCAL_RANK", "NODE_RANK", "GROUP_RANK", "SLURM_PROCID")
 
 
 def make_trainer(
@@ -46,8 +50,9 @@ def make_trainer(
             max_epochs=config.epochs,
             accelerator=accelerator,
             devices=config.devices,
+            num_nodes=config.num_nodes,
             # Some backbones have parameters beyond the stage they are cut at.
-            strategy="ddp_find_unused_parameters_true" if config.devices > 1 else "auto",
+            strategy="ddp_find_unused_parameters_true" if world_size(config) > 1 else "auto",
             precision=config.precision,
             logger=TensorBoardLogger(run.path, name="tensorboard", version=""),
             callbacks=callbacks,
@@ -61,6 +66,21 @@ def make_trainer(
     except (MisconfigurationException, ValueError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(
-            f"accelerator {config.accelerator!r} with {config.devices} devices and precision "
-            f"{config.precision!r} cannot be used here ({reason})"
+            f"accelerator {config.accelerator!r} with {config.devices} devices on "
+            f"{config.num_nodes} nodes and precision {config.precision!r} cannot be used here "
+            f"({reason})"
         ) from error
+
+
+def world_size(config: TrainConfig) -> int:
+    """How many processes train together."""
+    return config.devices * config.num_nodes
+
+
+def is_first_process(config: TrainConfig) -> bool:
+    """Whether this is the process that speaks for all: the first one of the first node.
+
+    Asked before Lightning has brought them together, it goes by what torchrun, SLURM and Lightning
+    itself leave in the environment.
+    """
+    return world_size(config) == 1 or all(os.environ.get(name, "0") == "0" for name in _RANKS)

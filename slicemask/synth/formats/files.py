@@ -31,13 +31,13 @@ def is_complete(path: Path, size: tuple[int, int]) -> bool:
         return False
 
 
-def write_picture(path: Path, pixels: NDArray[np.uint8]) -> None:
-    """Write uint8 [H, W, 3] as a JPEG or PNG, by the suffix."""
+def write_picture(path: Path, pixels: NDArray[np.uint8], exif: bytes | None = None) -> None:
+    """Write uint8 [H, W, 3] as a JPEG or PNG, by the suffix; a JPEG with EXIF data, if given."""
     _make_folder(path)
     with files.atomic_write(path, SynthError, _REMEDY) as partial:
         image = Image.fromarray(pixels)
         if path.suffix == ".jpg":
-            image.save(partial, "JPEG", quality=92)
+            image.save(partial, "JPEG", quality=92, **({} if exif is None else {"exif": exif}))
         else:
             image.save(partial, "PNG")
 

@@ -74,12 +74,14 @@ class Pinhole:
     position : (x, y, z)
         Metres.
     heading_deg
-        Where the centre column looks, clockwise from north.
+        Where the optical axis looks, clockwise from north.
     shape : (rows, columns)
     focal_pixels
         Focal length.
     horizon_row
-        The row at the height of the camera. The centre column is columns / 2.
+        The row at the height of the camera.
+    principal_column
+        The column that looks along the heading; the centre by default.
     """
 
     position: tuple[float, float, float]
@@ -87,6 +89,11 @@ class Pinhole:
     shape: tuple[int, int]
     focal_pixels: float
     horizon_row: float
+    principal_column: float | None = None
+
+    @property
+    def _column(self) -> float:
+        return self.shape[1] / 2 if self.principal_column is None else self.principal_column
 
     def _ahead_and_right(self) -> tuple[Floats, Floats]:
         sin, cos = np.sin(np.radians(self.heading_deg)), np.cos(np.radians(self.heading_deg))
@@ -95,7 +102,7 @@ class Pinhole:
     def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
         """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
         ahead, right = self._ahead_and_right()
-        across = (np.asarray(column) - self.shape[1] / 2)[..., None] / self.focal_pixels
+        across = (np.asarray(column) - self._column)[..., None] / self.focal_pixels
         up = (self.horizon_row - np.asarray(row))[..., None] / self.focal_pixels
         rays = ahead + across * right + up * np.array([0.0, 0.0, 1.0])
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -110,7 +117,7 @@ class Pinhole:
         ahead, right = self._ahead_and_right()
         offset = np.asarray(points) - self.position
         depth = offset @ ahead
-        column = self.shape[1] / 2 + self.focal_pixels * (offset @ right) / depth
+        column = self._column + self.focal_pixels * (offset @ right) / depth
         return self.horizon_row - self.focal_pixels * offset[..., 2] / depth, column
 
 

@@ -386,3 +386,18 @@ def test_tiles_of_another_size_than_in_training(run, cache, tmp_path, caplog, si
         return
     evaluate(other, cache=cache, device="cpu", out=out)
     assert (said in caplog.text) if said else "trained" not in caplog.text
+
+
+@pytest.mark.slow
+def test_on_dask_the_result_is_the_same_bytes(run, cache, tmp_path, one_thread):
+    pytest.importorskip("distributed")
+    pytest.importorskip("pyarrow")
+    folders = [
+        evaluate(run, cache=cache, device="cpu", workers=0, out=tmp_path / name, dask=dask)[1]
+        for name, dask in (("alone", None), ("together", "2"))
+    ]
+    names = [sorted(path.name for path in folder.iterdir()) for folder in folders]
+    assert names[0] == names[1]
+    for name in ("result.json", "samples.csv", "bad_samples.jsonl"):
+        alone, together = ((folder / name).read_bytes() for folder in folders)
+        assert alone == together
