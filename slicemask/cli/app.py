@@ -23,7 +23,7 @@ import click
 )
 @click.option("--browser/--no-browser", "show", default=True, help="Open the page.  [default: yes]")
 def app(run: str | None, data: str | None, **options: Any) -> None:
-    """Serve a page to look at: slices of a camera, or answers of a trained RUN."""
+    """Serve a page to look at: slices, or answers of a trained RUN."""
     if importlib.util.find_spec("panel") is None:
         raise click.ClickException(
             "this command needs panel; install: pip install 'slicemask[app]'"
