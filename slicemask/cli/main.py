@@ -31,7 +31,7 @@ _COMMANDS = {
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
     "pack": ("pack", "Write what predicting with a trained RUN takes into a small folder."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
-    "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map, to train on."),
+    "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 
