@@ -91,6 +91,7 @@ def locate(
 @as_json_option
 def tiles(table: str, aerial_map: str, out: str, as_json: bool, **options: Any) -> None:
     """Cut the aerial tiles of a TABLE of photographs from a map, to train on."""
+    check_model_installed()
     from slicematch.data.cut_tiles import cut_tiles
 
     with messages_on_stderr("slicematch"), progress_bar("cutting", "photographs") as progress:

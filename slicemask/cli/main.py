@@ -22,9 +22,9 @@ _COMMANDS = {
     "visualize": ("bank", "Draw the slices of a pose."),
     "synth": (
         "synth",
-        "Generate a city with exact poses, on disk as VIGOR, as KITTI, or with a map.",
+        "Generate a city with exact poses: VIGOR, KITTI, or a map.",
     ),
-    "table": ("table", "Write a table of photographs from VIGOR, KITTI, or a folder of them."),
+    "table": ("table", "List photographs in a table: of VIGOR, KITTI, or a folder."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),

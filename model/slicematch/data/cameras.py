@@ -170,8 +170,9 @@ class Camera:
         Returns
         -------
         PIL.Image.Image
-            Of the same size and intrinsic parameters; black where the camera saw nothing. The
-            image itself where there is nothing to undo.
+            Of the same width, with the same fx and principal point in proportion, and square
+            pixels; black where the camera saw nothing. The image itself where there is nothing to
+            undo.
 
         Raises
         ------
@@ -186,11 +187,16 @@ class Camera:
                     f"{name}: {image.width}x{image.height} pixels; its camera's images are "
                     f"{self.width}x{self.height}, or scaled: name its own camera"
                 )
-        if not self.distorted:
+        if self.distorted:
+            cv2 = _opencv(name)
+            columns, rows = _undistortion(self, *image.size)
+            pixels = cv2.remap(np.asarray(image), columns, rows, cv2.INTER_LINEAR)
+            image = Image.fromarray(pixels)
+        stretch = float(self.fx or 1.0) / float(self.fy or 1.0)
+        if stretch == 1.0:
             return image
-        cv2 = _opencv(name)
-        columns, rows = _undistortion(self, *image.size)
-        return Image.fromarray(cv2.remap(np.asarray(image), columns, rows, cv2.INTER_LINEAR))
+        height = max(1, round(image.height * stretch))
+        return image.resize((image.width, height), Image.Resampling.BILINEAR)
 
     def _coefficients(self) -> tuple[float, ...]:
         return tuple(getattr(self, name) for name in _COEFFICIENTS[self.model])

@@ -61,6 +61,20 @@ def test_the_paper_s_sizes_are_the_defaults(make_vigor_tree, tmp_path):
     )
 
 
+@pytest.mark.parametrize(("hfov_deg", "columns"), [(180, 64), (90.0, 32)])
+def test_a_field_of_view_is_cut_around_the_heading(make_vigor_tree, tmp_path, hfov_deg, columns):
+    make_vigor_tree(tmp_path, pairs=2)
+    whole = open_vigor(tmp_path, "test", cities=("Chicago",), ground_size=(64, 128))
+    size = (64, columns)
+    cut = open_vigor(tmp_path, "test", cities=("Chicago",), ground_size=size, hfov_deg=hfov_deg)
+    assert cut.hfov_deg == hfov_deg
+    middle = slice(64 - columns // 2, 64 + columns // 2)
+    for index in range(2):
+        assert np.array_equal(cut.pose(index), whole.pose(index))
+        ground = whole[index]["ground"][..., middle]
+        assert (cut[index]["ground"] - ground)[..., 1:-1].abs().max() < 0.1
+
+
 def test_pairs_of_the_files_as_published(make_vigor_tree, tmp_path):
     """Names with commas, 13 fields, and a last line without its newline."""
     tree = make_vigor_tree(tmp_path, pairs=3)
