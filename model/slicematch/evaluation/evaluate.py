@@ -251,11 +251,15 @@ def _measure_on_dask(
 ) -> list[Row]:
     """Rows of the samples chosen, from many processes: the same as from one."""
     request = {**settings, "samples": digest(chosen), "weights": _weights(settings)}
-    # Whole batches, as one process makes them.
+    # Whole batches, as one process makes them: the sums of others differ in their last digits.
     size = config.batch_size
     batches = [chosen[start : start + size] for start in range(0, len(chosen), size)]
+    groups = [
+        [index for batch in part for index in batch]
+        for part in split_groups([[batch] for batch in batches])
+    ]
     parts = Parts(folder / "parts", request)
-    table = run_parts(measuring, parts, split_groups(batches), dask, progress)
+    table = run_parts(measuring, parts, groups, dask, progress)
     rows: list[Row] = table.to_pylist()
     parts.remove()
     check_faults([row["error"] for row in rows if row["error"] is not None], config)
