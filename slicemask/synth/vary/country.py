@@ -245,7 +245,7 @@ def _lay_fields(
             kind, colours = FIELDS[name]
             turned = angle + 90.0 * rng.integers(2) + rng.normal(0, 2)
             shape = ragged(field.buffer(-0.3), 0.5, rng)
-            _add_parts(plan, shape, kind, vary_colour(rng, colours, 0.08), FIELD_M, float(turned))
+            _add_parts(plan, shape, kind, vary_colour(rng, colours, 0.05), FIELD_M, float(turned))
             _fill_field(name, field, seen, flora, plan, rng)
             _border(field, country, flora, plan, rng)
 

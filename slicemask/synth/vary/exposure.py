@@ -41,7 +41,7 @@ class Exposure:
             balance=(1 + warmth, 1 + tint, 1 - warmth),
             gamma=float(np.exp(rng.normal(0.05, 0.22))),
             black=float(np.clip(rng.normal(0.0, 0.04), 0, 0.12)),
-            saturation=float(rng.uniform(0.45, 1.45)),
+            saturation=float(rng.uniform(0.45, 1.25)),
         )
 
     def apply(self, image: Floats) -> Floats:
