@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from slicematch import Localizer, evaluate
 from slicematch.runs.folder import RunFolder
 from slicematch.runs.shipped import find_run, shipped_runs
@@ -44,7 +45,7 @@ def test_it_finds_cameras_in_a_generated_city(tmp_path):
     generate_vigor(
         city, cities=2, panoramas=8, seed=1234, panorama_size=(512, 256), tile_size=320, jobs=1
     )
-    done = evaluate(
+    done, _ = evaluate(
         RUN, grid="9x9x32", root=str(city), out=tmp_path / "results", workers=0, device="cpu"
     )
     assert len(done.errors.heading_deg) == 8
@@ -53,9 +54,12 @@ def test_it_finds_cameras_in_a_generated_city(tmp_path):
 
 @pytest.mark.skipif(not PAIRS.is_dir(), reason="the real pairs are not here")
 def test_it_finds_a_real_camera(localizer):
-    """A straight country road in woods, whose junction tells north from south."""
-    estimate = localizer.localize(
-        PAIRS / "rural2_ground.jpg", PAIRS / "rural2_aerial.jpg", metres_per_pixel=0.23
-    )
+    """A gravel road between mobile homes; the picture is a part of the sphere."""
+    band = Image.open(PAIRS / "rural2_ground.jpg")
+    sphere = Image.new("RGB", (1232, 616))
+    sphere.paste(band, (0, 173))
+    tile = Image.open(PAIRS / "rural2_aerial.jpg")
+    tile = tile.crop((218, 218, 532, 532))  # 72 m around the camera
+    estimate = localizer.localize(sphere, tile, metres_per_pixel=0.23)
     assert estimate.probabilities.sum() == pytest.approx(1.0, abs=1e-4)
     assert min(estimate.pose[2], 360.0 - estimate.pose[2]) < 20.0
