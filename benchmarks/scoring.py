@@ -126,7 +126,7 @@ def _csr_scores(
     for n in range(SLICES):
         attended = (features * attention[:, n, None]).flatten(2)[0].T.contiguous()
         descriptors = [unit(some @ attended) for some in rows]
-        at = candidates.index[:, n]
+        at = candidates.index[:, n, 0]  # no bands
         dots += torch.cat([some @ ground[0, n] for some in descriptors])[at]
         there += torch.cat([some.any(dim=-1) for some in descriptors])[at]
     return dots / (there.sqrt() * ground.square().sum().sqrt()).clamp(min=1e-30)
