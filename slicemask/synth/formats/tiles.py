@@ -10,7 +10,7 @@ from slicemask.synth.formats.files import is_complete, write_picture
 from slicemask.synth.render.cameras import Aerial
 from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene
-from slicemask.synth.vary.pictures import AerialLook
+from slicemask.synth.vary.pictures import AerialLook, edge_samples
 
 
 def missing_tiles(paths: Sequence[Path], pixels: int) -> list[int]:
@@ -49,7 +49,7 @@ def write_tiles(
     half = pixels / 2 * metres_per_pixel
     shape = int(down.max()) + pixels, int(right.max()) + pixels
     camera = look.aim(Aerial((west - half, north + half), metres_per_pixel, shape))
-    image = render(scene, camera, look.varied_light())
+    image = render(scene, camera, look.varied_light(), edge_samples(look.variation))
     for number, (path, rng) in wanted.items():
         top, left = down[number], right[number]
         tile = image[top : top + pixels, left : left + pixels]

@@ -9,7 +9,7 @@ from slicemask.synth.render.cameras import Aerial, Panorama
 from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
 from slicemask.synth.render.patterns import Floats
-from slicemask.synth.render.render import render
+from slicemask.synth.render.render import FEW_SUBPIXELS, SUBPIXELS, render
 from slicemask.synth.render.scene import Scene
 from slicemask.synth.vary import camera as cameras
 from slicemask.synth.vary import imagery
@@ -54,7 +54,7 @@ def panorama_pixels(
     if "light" in variation:
         glare = variation.random("light", GROUND, number)
         light = draw_weather(glare)
-    image = render(scene, camera, light)
+    image = render(scene, camera, light, edge_samples(variation))
     if isinstance(light, Weather) and glare is not None:
         image = add_glare(image, camera, light, glare)
     if "exposure" in variation:
@@ -64,6 +64,12 @@ def panorama_pixels(
         own = variation.random("camera", GROUND, number, 1)
         pixels = cameras.develop(pixels, heading_deg, own)
     return pixels
+
+
+def edge_samples(variation: Variation) -> tuple[tuple[float, float], ...]:
+    """Where pixels on edges are sampled: in fewer places where switches make trees of leaves."""
+    leafy = {"trees", "suburbs", "country"} & set(variation.names)
+    return FEW_SUBPIXELS if leafy else SUBPIXELS
 
 
 @dataclass(frozen=True)
