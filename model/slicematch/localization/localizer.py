@@ -461,8 +461,8 @@ def load_candidates(path: str | Path, frustum: Frustum, cells: int) -> tuple[Can
             left = "" if frustum.left_deg is None else f" from {frustum.left_deg:g}"
             raise ConfigError(
                 f"{path}: holds {spec.summary()}; the run needs hfov {frustum.hfov_deg:g} deg"
-                f"{left} {frustum.projection}, {frustum.slices} slices and {cells}x{cells} cells: name "
-                "such a bank, or none"
+                f"{left} {frustum.projection}, {frustum.slices} slices and {cells}x{cells} cells: "
+                "name such a bank, or none"
             )
         if spec.grid is None:
             raise ConfigError(f"{path}: holds a list of poses; a heat map needs the bank of a grid")
