@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help bank demo quick core lowest test lint bench constraints clean
+.PHONY: help bank demo quick core lowest test docs linkcheck lint bench constraints clean
 
 # What needs neither torch nor trimesh; the rest of the tests needs the extras.
 CORE_TESTS := tests/geometry tests/bank $(wildcard tests/test_*.py)
@@ -19,6 +19,8 @@ help:
 	@echo "make core    run all tests that need no torch"
 	@echo "make test    run all tests"
 	@echo "make lowest  run tests with the lowest versions that pyproject.toml allows (needs uv)"
+	@echo "make docs    build the documentation's site into build/docs, tutorials run"
+	@echo "make linkcheck   follow the links of the site, also those that lead out of it"
 	@echo "make lint    ruff and mypy"
 	@echo "make bench   print the benchmark tables"
 	@echo "make constraints   write constraints.txt with the newest versions (CONTRIBUTING.md)"
@@ -37,7 +39,11 @@ $(VENV)/.test: $(VENV)/.core
 # torch is asked for by its exact version alone, so that the pinned build is the one taken.
 $(VENV)/.full: $(VENV)/.core
 	$(PIP) "$$(grep '^torch==' constraints.txt)"
-	$(PIP) -e '.[model,weights,cameras,maps,dask,synth,test,lint,bench]'
+	$(PIP) -e '.[model,weights,cameras,maps,dask,synth,app,test,lint,bench]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.full
+	$(PIP) -e '.[docs]'
 	@touch $@
 
 bank: $(VENV)/.core
@@ -60,11 +66,21 @@ core: $(VENV)/.test
 # In an environment of its own; what only these packages need comes in the newest versions.
 lowest:
 	uv venv --quiet --python $(PYTHON) build/lowest
-	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,cameras,maps,dask,synth,test]'
+	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,cameras,maps,dask,synth,app,test]'
 	build/lowest/bin/python -m pytest -n auto -m "not slow"
 
 test: $(VENV)/.full
 	$(BIN)/python -m pytest -n auto
+
+# A warning ends it. What has not changed since the last time is not run again.
+SPHINX := $(BIN)/python -m sphinx -W --keep-going -d build/doctrees
+
+docs: $(VENV)/.docs
+	$(SPHINX) -b html docs build/docs
+	@echo "the site: build/docs/index.html"
+
+linkcheck: $(VENV)/.docs
+	$(SPHINX) -b linkcheck docs build/linkcheck
 
 lint: $(VENV)/.full
 	$(BIN)/ruff check .
@@ -77,7 +93,7 @@ bench: $(VENV)/.full
 # What only builds of torch with CUDA need is left out: other builds do without.
 constraints:
 	$(PYTHON) -m venv --clear build/newest
-	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,maps,dask,synth,test,lint,bench]'
+	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,maps,dask,synth,app,test,docs,lint,bench]'
 	build/newest/bin/python -m pip freeze --exclude-editable > build/newest.txt
 	(head -n 1 constraints.txt && sed 's/+[a-z0-9.]*$$//' build/newest.txt \
 		| grep -v -e '^nvidia' -e '^cuda') > build/constraints.txt
@@ -85,3 +101,4 @@ constraints:
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf docs/auto_* docs/reference/generated docs/sg_execution_times.rst docs/tutorials/*/ docs/gallery/*/

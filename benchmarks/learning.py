@@ -212,6 +212,11 @@ def _standard_errors(place_m: np.ndarray, heading_deg: np.ndarray) -> dict[str, 
     return {key: float(np.std([some[key] for some in spread], ddof=1)) for key in spread[0]}
 
 
+def _minutes(cost: dict[str, float]) -> str:
+    """Processor time of a training; nothing of one that was trained by other means."""
+    return f"{cost['processor_s'] / 60:.1f} min" if cost else ""
+
+
 def _table(title: str, found: dict[str, dict[str, Any]]) -> Table:
     table = Table(
         "row", "refine", "seeds", "mean m", "median m", "mean deg", "median deg", "training",
@@ -228,7 +233,7 @@ def _table(title: str, found: dict[str, dict[str, Any]]) -> Table:
                     f"{test['errors'][key]:.2f} ± {deviation:.2f}"
                     for key, deviation in test["standard_errors"].items()
                 ),
-                f"{row['training']['processor_s'] / 60:.1f} min",
+                _minutes(row["training"]),
             )
     if found:
         row = next(iter(found.values()))

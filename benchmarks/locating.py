@@ -34,15 +34,16 @@ MAP_PIXELS, METRES, SIDE_M = 4000, 0.15, 72.0
 @click.command()
 @click.option("--photos", default=64, show_default=True)
 @click.option("--encoder", default="vgg16", show_default=True)
+@click.option("--times", default=5, show_default=True, help="Of which the medians are printed.")
 @click.option("--dask/--no-dask", default=True, help="Whether workers are measured too.")
-def main(photos: int, encoder: str, dask: bool) -> None:
+def main(photos: int, encoder: str, times: int, dask: bool) -> None:
     """Print the seconds of each step, and the rates of one and two workers."""
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run = untrained_run(folder / "run", encoder)
         table = write_photos(folder, photos)
-        for step, seconds in seconds_of_steps(folder, run, table).items():
+        for step, seconds in seconds_of_steps(folder, run, table, times).items():
             print(f"{step:<12} {seconds:6.3f} s of one core")
         if dask:
             rates = [rate(folder, run, table, workers) for workers in (1, 2)]
@@ -94,7 +95,7 @@ def texture(rng: np.random.Generator, rows: int, columns: int) -> np.ndarray:
     return np.asarray(image)
 
 
-def seconds_of_steps(folder: Path, run: RunFolder, table: Path, times: int = 5) -> dict[str, float]:
+def seconds_of_steps(folder: Path, run: RunFolder, table: Path, times: int) -> dict[str, float]:
     """The processor's seconds of each step, medians."""
     localizer = Localizer.load(run.path, cache=folder / "banks", device="cpu")
     opened = AerialMap.open(folder / "ortho.tif")
@@ -113,7 +114,7 @@ def seconds_of_steps(folder: Path, run: RunFolder, table: Path, times: int = 5) 
         with timed("encode it"):
             encoded = localizer.encode_aerial(tile.image, metres_per_pixel=tile.metres_per_pixel)
         with timed("read a photo"):
-            view = localizer.read_ground(table.parent / f"{number}.jpg")
+            view = localizer.read_ground(table.parent / f"{number % 2}.jpg")
         with timed("answer"):
             localizer.localize(view, encoded)
     return {step: statistics.median(values[1:]) for step, values in taken.items()}

@@ -23,7 +23,9 @@ from PIL import Image
 from slicemask.cli.main import main
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+SCRIPTS = sorted(path for kind in ("tutorials", "gallery") for path in (DOCS / kind).glob("*.py"))
 OLD_RUN = ROOT / "tests" / "slicematch" / "runs" / "data" / "vigor_run_v1"
 CHEAP = ("build", "info", "verify", "visualize")
 
@@ -62,36 +64,62 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.filterwarnings("ignore:Sparse")  # torch says that its CSR tensors are in beta
-def test_the_readme_s_python_runs_as_written(workplace):
-    pytest.importorskip("torch")
-    names = {}
-    blocks = _blocks(ROOT / "README.md", "python")
-    for block in blocks[:-1]:
-        exec(compile(block, "README.md", "exec"), names)
-    assert names["area"].shape == (28224, 16)
+@pytest.fixture(scope="module")
+def banks(tmp_path_factory):
+    """One cache for all pages: they build the same bank."""
+    return tmp_path_factory.mktemp("banks")
 
-    # Both ways into torch are what slicemask says they are.
+
+def _run_python(page):
+    """Run a page's Python from top to bottom; what it leaves, by name."""
+    names = {}
+    blocks = _blocks(page, "python")
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page.name, "exec"), names)
+    return names
+
+
+def test_the_readme_s_python_runs_as_written(workplace, banks, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.setenv("SLICEMASK_CACHE", str(banks))
+    names = _run_python(ROOT / "README.md")
+    assert names["rows"].shape == (28224, 1024)
+    assert names["estimate"].pose.shape == (3,)
+
+
+def test_the_python_of_other_pages_runs_as_written(workplace, banks, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.setenv("SLICEMASK_CACHE", str(banks))
+    assert _run_python(DOCS / "index.md")["masks"].shape == (1, 16, 32, 32)
+    assert _run_python(DOCS / "howto" / "masks-and-banks.md")["area"].shape == (28224, 16)
+    assert _run_python(DOCS / "howto" / "answers-on-the-map.md")["estimate"].pose.shape == (3,)
+
+
+@pytest.mark.filterwarnings("ignore:Sparse")  # torch says that its CSR tensors are in beta
+def test_both_ways_into_torch_are_what_slicemask_says_they_are(workplace, banks, monkeypatch):
+    pytest.importorskip("torch")
+    monkeypatch.setenv("SLICEMASK_CACHE", str(banks))
     from slicemask import open_bank
 
+    names = _run_python(DOCS / "howto" / "masks-in-torch.md")
     assert names["descriptors"].shape == (2, 16, 64)
     names["descriptors"].square().sum().backward()
     assert (names["poses"].grad != 0).all()
     with open_bank(names["built"].path) as bank:
         one = bank.masks(1234).reshape(16, -1)
     features = names["features"].detach().flatten(1).numpy()
-    pooled = names["pooled"].detach().numpy()[names["bank"].index[1234]]
+    pooled = names["pooled"].detach().numpy()[names["index"][1234]]
     np.testing.assert_allclose(pooled, one @ features.T, rtol=1e-5, atol=1e-4)
     names["pooled"].sum().backward()
     assert (names["features"].grad > 0).all()
-
-    exec(compile(blocks[-1], "README.md", "exec"), names)
-    assert names["estimate"].pose.shape == (3,)
+    assert names["scores"].shape == (2, 28224)
 
 
 @pytest.mark.slow
-def test_the_readme_s_commands_on_banks_run_as_written(workplace):
-    (block,) = [text for text in _blocks(ROOT / "README.md", "") if "slicemask build" in text]
+def test_the_commands_on_banks_run_as_written(workplace):
+    page = DOCS / "howto" / "masks-and-banks.md"
+    (block,) = [text for text in _blocks(page, "") if "slicemask build" in text]
     assert {line.split()[1] for line in _slicemask_lines(block)} == set(CHEAP)
     _run_block(block, workplace)
     assert (workplace / "figure.png").exists()
@@ -100,12 +128,12 @@ def test_the_readme_s_commands_on_banks_run_as_written(workplace):
 
 
 @pytest.mark.slow
-def test_the_readme_s_predictions_run_as_written(workplace):
+def test_the_predictions_run_as_written(workplace):
     pytest.importorskip("torch")
-    (block,) = [text for text in _blocks(ROOT / "README.md", "") if "slicemask predict" in text]
-    lines = [line for line in _slicemask_lines(block) if line.startswith("slicemask predict")]
-    assert len(lines) == 2
-    _run_block("\n".join(lines), workplace)
+    page = DOCS / "howto" / "answers-on-the-map.md"
+    (block,) = [text for text in _blocks(page, "") if "slicemask predict" in text]
+    assert len(_slicemask_lines(block)) == 4
+    _run_block(block, workplace)
     assert (workplace / "overlay.png").exists()
     assert (workplace / "pose.geojson").exists()
 
@@ -137,12 +165,34 @@ def test_every_command_and_option_on_a_page_exists(page):
             raise AssertionError(f"{page.name}: {name} {args}: {error.message}") from error
 
 
+@pytest.fixture(scope="module")
+def options():
+    """Every option of every command, and of the other programs that pages call."""
+    context = click.Context(main)
+    commands = [main, *(main.get_command(context, name) for name in main.list_commands(context))]
+    found = {
+        option
+        for command in commands
+        for param in command.params
+        for option in (*param.opts, *param.secondary_opts)
+    }
+    torchrun = {"--nnodes", "--nproc-per-node", "--rdzv-backend", "--rdzv-endpoint"}
+    srun = {"--nodes", "--ntasks-per-node"}
+    return found | torchrun | srun | {"--help", "--logdir"}
+
+
+@pytest.mark.parametrize("page", PAGES + SCRIPTS, ids=lambda page: page.name)
+def test_every_option_that_a_page_speaks_of_exists(page, options):
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", page.read_text()))
+    assert named - options == set()
+
+
 def test_the_workflows_run_targets_that_exist():
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     run = set()
     for workflow in (ROOT / ".github" / "workflows").glob("*.yml"):
         run |= set(re.findall(r"run: make (\w+)", workflow.read_text()))
-    assert {"test", "core", "lowest", "lint"} <= run <= targets
+    assert {"test", "core", "lowest", "lint", "docs", "linkcheck"} <= run <= targets
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -158,9 +208,9 @@ def test_every_target_and_module_on_a_page_exists(page):
         assert (ROOT / name).exists()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES + SCRIPTS, ids=lambda page: page.name)
 def test_every_name_that_a_page_imports_exists(page):
-    blocks = _blocks(page, "python")
+    blocks = [page.read_text()] if page.suffix == ".py" else _blocks(page, "python")
     for block in blocks:
         for node in ast.walk(ast.parse(block)):
             if isinstance(node, ast.ImportFrom):
@@ -170,6 +220,47 @@ def test_every_name_that_a_page_imports_exists(page):
                         pytest.importorskip(other)
                 module = importlib.import_module(node.module)
                 assert [alias.name for alias in node.names if not hasattr(module, alias.name)] == []
+
+
+def _leads_somewhere(name):
+    """Whether a dotted name is a module, or something that is inside one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            if not hasattr(found, part):
+                return False
+            found = getattr(found, part)
+        return True
+    return False
+
+
+def test_every_dotted_name_of_ours_leads_somewhere():
+    pytest.importorskip("torch")
+    pytest.importorskip("trimesh")
+    sources = [*(ROOT / "slicemask").rglob("*.py"), *(ROOT / "model").rglob("*.py")]
+    named = {
+        (name, page.name)
+        for page in [*PAGES, *SCRIPTS, *sources, *(DOCS / "reference").glob("*.rst")]
+        for name in re.findall(r"`~?(slice(?:mask|match)(?:\.\w+)+)", page.read_text())
+    }
+    assert len(named) > 30
+    # Files are named alike.
+    named = {(name, page) for name, page in named if not name.endswith((".h5", ".py"))}
+    assert [pair for pair in sorted(named) if not _leads_somewhere(pair[0])] == []
+
+
+@pytest.mark.parametrize(
+    "package", ["slicemask", "slicemask.plot", "slicemask.synth", "slicematch"]
+)
+def test_every_public_name_stands_in_the_reference(package):
+    page = DOCS / "reference" / f"{package.partition('.')[0]}.rst"
+    listed = set(page.read_text().split())
+    names = importlib.import_module(package).__all__
+    assert [name for name in names if name not in listed and not name.startswith("__")] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
@@ -116,10 +117,33 @@ def test_the_wheel_holds_every_file_of_the_packages_and_no_other(wheel):
     assert packed == expected
 
 
-def test_a_wheel_by_way_of_the_source_archive_is_the_same(wheel, tmp_path):
-    _run([sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path], cwd=ROOT)
-    (archive,) = tmp_path.glob("*.tar.gz")
-    again = _build_wheel(archive, tmp_path)
+@pytest.fixture(scope="module")
+def source_archive(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sdist")
+    _run([sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", out], cwd=ROOT)
+    (archive,) = out.glob("*.tar.gz")
+    return archive
+
+
+def test_the_source_archive_holds_the_documentation_and_nothing_built(source_archive):
+    with tarfile.open(source_archive) as archive:
+        packed = {name.split("/", 1)[1] for name in archive.getnames()}
+    docs = {name for name in packed if name.startswith("docs/")}
+    assert {"docs/conf.py", "docs/index.md", "docs/images/answer.jpg", "CITATION.cff"} <= packed
+    for kind in ("**/*.md", "tutorials/*.py", "gallery/*.py", "reference/*.rst", "_templates/**/*"):
+        found = (path for path in (ROOT / "docs").glob(kind) if path.is_file())
+        assert {path.relative_to(ROOT).as_posix() for path in found} <= docs
+    built = (
+        "docs/auto_",
+        "docs/reference/generated/",
+        "docs/tutorials/runs/",
+        "docs/gallery/data/",
+    )
+    assert [name for name in docs if name.startswith(built)] == []
+
+
+def test_a_wheel_by_way_of_the_source_archive_is_the_same(wheel, source_archive, tmp_path):
+    again = _build_wheel(source_archive, tmp_path)
     assert again.name == wheel.name
     assert again.read_bytes() == wheel.read_bytes()
 

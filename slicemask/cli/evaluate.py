@@ -42,6 +42,9 @@ from slicemask.cli.run_options import (
     help="Part of the data set.",
 )
 @root_option
+@click.option(
+    "--map", "aerial_map", metavar="FILE", help="Of a table's rows.  [default: the run's]"
+)
 @click.option("--limit", type=int, help="Only so many samples, evenly spaced.  [default: all]")
 @click.option(
     "--heading-prior",

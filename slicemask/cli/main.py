@@ -22,16 +22,17 @@ _COMMANDS = {
     "visualize": ("bank", "Draw the slices of a pose."),
     "synth": (
         "synth",
-        "Generate a city with exact poses, on disk as VIGOR, as KITTI, or with a map.",
+        "Generate a city with exact poses: VIGOR, KITTI, or a map.",
     ),
-    "table": ("table", "Write a table of photographs from VIGOR, KITTI, or a folder of them."),
+    "table": ("table", "List photographs in a table: of VIGOR, KITTI, or a folder."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
-    "pack": ("pack", "Write what predicting with a trained RUN takes into a small folder."),
+    "app": ("app", "Serve a page to look at: slices, or answers of a trained RUN."),
+    "pack": ("pack", "Pack what predicting with a trained RUN takes into a folder."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
-    "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map, to train on."),
+    "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 

@@ -27,7 +27,7 @@ _split_option = click.option(
 
 @click.group()
 def table() -> None:
-    """Write a table of photographs from VIGOR, KITTI, or a folder of them.
+    """List photographs in a table: of VIGOR, KITTI, or a folder.
 
     A table is what `slicemask train --data table --root FILE` reads.
     """

@@ -323,6 +323,8 @@ class PoseDataset(Dataset[Sample | None]):
         return len(self.names)
 
     def __getitem__(self, index: int) -> Sample | None:
+        if not 0 <= index < len(self):  # which also ends a loop over the samples
+            raise IndexError(f"sample {index} of {len(self)}")
         training = self.part == "train"
         for step in range(len(self) if training else 1):
             tried = (index + step) % len(self)

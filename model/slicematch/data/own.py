@@ -79,6 +79,7 @@ class OwnSource(Source):
     def __init__(
         self, samples: Any, config: DataConfig, projection: Projection, hfov_deg: float
     ) -> None:
+        self.left_deg, self.horizon = config.left_deg, config.horizon
         if not (isinstance(samples, Sized) and hasattr(samples, "__getitem__")):
             raise DatasetError(
                 f"the data set is of type {type(samples).__name__}; it must be a torch Dataset "
@@ -117,7 +118,14 @@ class OwnSource(Source):
             raise self._wrong(
                 index, f"aerial is {aerial.width}x{aerial.height} pixels; it must be square"
             )
-        ground = crop_elevations(ground, self.config.elevations, self.projection, self.hfov_deg)
+        ground = crop_elevations(
+            ground,
+            self.config.elevations,
+            self.projection,
+            self.hfov_deg,
+            self.left_deg,
+            self.horizon,
+        )
         size = self.config.aerial_size
         return resize(ground, self.config.ground_size), resize(aerial, (size, size))
 

@@ -3,9 +3,11 @@
 import logging
 import math
 import re
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask.errors import ImageError
@@ -16,6 +18,7 @@ from slicemask.images import (
     has_aspect,
     name_of,
     read_image,
+    xmp_of,
 )
 from slicematch.data.elevations import GroundFit
 
@@ -125,15 +128,7 @@ def level(panorama: Image.Image, pitch_deg: float, roll_deg: float) -> Image.Ima
     from scipy.ndimage import map_coordinates  # here, since few panoramas need it
 
     width, height = panorama.size
-    pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
-    # Right, ahead and up in the frame of the tilted camera, for those of the level one.
-    pitched = np.array(
-        [[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]]
-    )
-    rolled = np.array(
-        [[math.cos(roll), 0, math.sin(roll)], [0, 1, 0], [-math.sin(roll), 0, math.cos(roll)]]
-    )
-    to_camera = ((pitched @ rolled).T).astype(np.float32)
+    to_camera = to_tilted(pitch_deg, roll_deg).astype(np.float32)
     azimuth = (2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)).astype(np.float32)
     # The poles' rows are continued beyond them, half a turn away.
     pixels = np.asarray(panorama)
@@ -157,6 +152,36 @@ def level(panorama: Image.Image, pitch_deg: float, roll_deg: float) -> Image.Ima
                 map_coordinates(pixels[..., colour], places, np.float32, order=1, mode="grid-wrap")
             )
     return Image.fromarray(levelled)
+
+
+def to_tilted(pitch_deg: float, roll_deg: float) -> NDArray[np.float64]:
+    """The matrix that takes directions from the frame of the level camera to the tilted one's.
+
+    Parameters
+    ----------
+    pitch_deg, roll_deg : float
+        Of the tilted camera: see `level`.
+
+    Returns
+    -------
+    float64 [3, 3]
+        Of right, ahead and up.
+    """
+    pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
+    pitched = np.array(
+        [[1, 0, 0], [0, math.cos(pitch), -math.sin(pitch)], [0, math.sin(pitch), math.cos(pitch)]]
+    )
+    rolled = np.array(
+        [[math.cos(roll), 0, math.sin(roll)], [0, 1, 0], [-math.sin(roll), 0, math.cos(roll)]]
+    )
+    return np.asarray((pitched @ rolled).T)
+
+
+def says_its_tilt(path: str | Path) -> bool:
+    """Whether an image's GPano data say how it is tilted, so that `read_panorama` levels it."""
+    with Image.open(path) as image:
+        properties = gpano_properties(xmp_of(image))
+    return not {"PosePitchDegrees", "PoseRollDegrees"}.isdisjoint(properties)
 
 
 def turn_panorama(
@@ -195,6 +220,30 @@ def turn_panorama(
     return Image.fromarray(wrapped).resize(size[::-1], Image.Resampling.BILINEAR, box=box)
 
 
+def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | None) -> float:
+    """A heading for a panorama to be turned to, on whole columns of 2048.
+
+    Parameters
+    ----------
+    random : numpy.random.Generator
+        What it is drawn from.
+    prior : (centre, half width) or None
+        Within the half width of the centre, degrees; None for any heading.
+
+    Returns
+    -------
+    float
+        Degrees clockwise from north.
+    """
+    if prior is None:
+        column = random.integers(HEADING_COLUMNS)
+    else:
+        reach = int(prior[1] * HEADING_COLUMNS / 360)
+        centre = round(prior[0] * HEADING_COLUMNS / 360)
+        column = (centre + random.integers(-reach, reach + 1)) % HEADING_COLUMNS
+    return float(column * 360.0 / HEADING_COLUMNS)
+
+
 def cut_hfov(image: Image.Image, hfov_deg: float) -> Image.Image:
     """The middle columns of a panorama, to the nearest column, as wide as a field of view."""
     cut = round(image.width * (360.0 - hfov_deg) / 720.0)
@@ -228,30 +277,6 @@ def _paste(image: Image.Image, width: int, height: int) -> Image.Image:
     sphere = Image.new("RGB", (width, height))
     sphere.paste(image, ((width - image.width) // 2, (height - image.height) // 2))
     return sphere
-
-
-def draw_heading_deg(random: np.random.Generator, prior: tuple[float, float] | None) -> float:
-    """A heading for a panorama to be turned to, on whole columns of 2048.
-
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        What it is drawn from.
-    prior : (centre, half width) or None
-        Within the half width of the centre, degrees; None for any heading.
-
-    Returns
-    -------
-    float
-        Degrees clockwise from north.
-    """
-    if prior is None:
-        column = random.integers(HEADING_COLUMNS)
-    else:
-        reach = int(prior[1] * HEADING_COLUMNS / 360)
-        centre = round(prior[0] * HEADING_COLUMNS / 360)
-        column = (centre + random.integers(-reach, reach + 1)) % HEADING_COLUMNS
-    return float(column * 360.0 / HEADING_COLUMNS)
 
 
 def gpano_properties(xmp: object) -> dict[str, str]:

@@ -3,12 +3,14 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 from PIL import Image
 
 from slicemask.errors import ImageError
 from slicemask.geometry.frustum import Projection
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
+from slicematch.data.panoramas import to_tilted
 
 # By which share of its width or height an image may show less than a view, as after rounding.
 _TOLERANCE = 0.01
@@ -36,6 +38,11 @@ class View(NamedTuple):
         """Horizontal field of view."""
         return self.right_deg - self.left_deg
 
+    @property
+    def off_centre_left_deg(self) -> float | None:
+        """The left edge, or None if it is half the field of view off the heading."""
+        return None if self.left_deg == -self.right_deg else self.left_deg
+
     def aspect(self, projection: Projection) -> float:
         """Width over height of its images, whose pixels are square."""
         if projection == "equirectangular":
@@ -51,7 +58,9 @@ class View(NamedTuple):
         return highest / (highest - lowest)
 
 
-WHOLE_SPHERE = View(-180.0, 180.0, -90.0, 90.0)
+def is_whole(camera: Camera) -> bool:
+    """Whether a camera takes whole panoramas, which can be turned to any heading."""
+    return camera.projection == "equirectangular" and camera.hfov_deg in (None, 360.0)
 
 
 def camera_view(camera: Camera, name: str) -> View:
@@ -78,7 +87,7 @@ def camera_view(camera: Camera, name: str) -> View:
     if camera.projection == "equirectangular":
         half = float(camera.hfov_deg or 360.0) / 2.0
         if half == 180.0:
-            return WHOLE_SPHERE
+            return View(-180.0, 180.0, -90.0, 90.0)
         if camera.width is None or camera.height is None:
             raise DatasetError(
                 f"camera {name}: is a part of a panorama; its width and height in pixels are "
@@ -151,6 +160,41 @@ def cut_view(
     left, right = (min(max(column, 0.0), image.width) for column in columns)
     top, bottom = (min(max(row, 0.0), image.height) for row in rows)
     return image.resize(size[::-1], Image.Resampling.BILINEAR, box=(left, top, right, bottom))
+
+
+def level_pinhole(
+    image: Image.Image, camera: Camera, pitch_deg: float, roll_deg: float
+) -> Image.Image:
+    """Level an image of a tilted pinhole camera, as if it had looked along its heading.
+
+    Parameters
+    ----------
+    image : PIL.Image.Image
+        RGB, undistorted, of the camera's size or scaled.
+    camera : Camera
+        The image's, a pinhole camera.
+    pitch_deg, roll_deg : float
+        As `slicematch.data.panoramas.level` takes them.
+
+    Returns
+    -------
+    PIL.Image.Image
+        Of the same size and intrinsic parameters; black where the camera saw nothing.
+    """
+    if not (pitch_deg or roll_deg):
+        return image
+    across = image.width / float(camera.width or image.width)
+    down = image.height / float(camera.height or image.height)
+    fx, cx = (across * float(value or 0.0) for value in (camera.fx, camera.cx))
+    fy, cy = (down * float(value or 0.0) for value in (camera.fy, camera.cy))
+    # From pixels to rays that are right, ahead and up, and back.
+    to_ray = np.array([[1 / fx, 0, -cx / fx], [0, 0, 1], [0, -1 / fy, cy / fy]])
+    to_pixel = np.array([[fx, cx, 0], [0, cy, -fy], [0, 1, 0]])
+    matrix = to_pixel @ to_tilted(pitch_deg, roll_deg) @ to_ray
+    coefficients = (matrix / matrix[2, 2]).ravel()[:8]
+    return image.transform(
+        image.size, Image.Transform.PERSPECTIVE, coefficients.tolist(), Image.Resampling.BILINEAR
+    )
 
 
 def _tan(degrees: float) -> float:

@@ -23,9 +23,22 @@ def tile_pixels(path: str) -> int:
         return 0
 
 
-def place_window(
-    tile_side_m: float, side_m: float, camera_m: Metres, shift_m: Metres, name: str
-) -> Metres:
+def check_tile_side(tile_side_m: float, side_m: float, name: str) -> None:
+    """Refuse a tile that is more than `MOST_MISSING` smaller than a window, metres.
+
+    Raises
+    ------
+    SampleError
+        If it is; the text begins with the name.
+    """
+    if tile_side_m < (1.0 - MOST_MISSING) * side_m:
+        raise SampleError(
+            f"{name}: is {tile_side_m:.4g} m wide and the run's tiles are {side_m:.4g} m; name a "
+            "larger tile or the right metres_per_pixel, or train with a smaller --side-m"
+        )
+
+
+def place_window(tile_side_m: float, side_m: float, camera_m: Metres, shift_m: Metres) -> Metres:
     """Where a window lies in a tile: about the camera, moved, and within the tile.
 
     Parameters
@@ -37,29 +50,17 @@ def place_window(
     shift_m : float64 [2]
         By how much the window's centre lies east and north of the camera where the tile has room;
         nearer to the tile's centre where it has not.
-    name : str
-        Which tile, for the message.
 
     Returns
     -------
     float64 [2]
         The window's centre, metres east and north of the tile's.
 
-    Raises
-    ------
-    SampleError
-        If the tile is more than `MOST_MISSING` smaller than the window.
-
     Examples
     --------
-    >>> place_window(100.0, 60.0, np.array([10.0, 0.0]), np.array([15.0, 5.0]), "tile").tolist()
+    >>> place_window(100.0, 60.0, np.array([10.0, 0.0]), np.array([15.0, 5.0])).tolist()
     [20.0, 5.0]
     """
-    if tile_side_m < (1.0 - MOST_MISSING) * side_m:
-        raise SampleError(
-            f"{name}: is {tile_side_m:.4g} m wide and the run's tiles are {side_m:.4g} m; name a "
-            "larger tile or the right metres_per_pixel, or train with a smaller --side-m"
-        )
     room = max(0.0, (tile_side_m - side_m) / 2.0)
     return np.clip(camera_m + shift_m, -room, room)
 

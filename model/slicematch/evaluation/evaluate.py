@@ -49,6 +49,7 @@ def evaluate(
     split: str | None = None,
     part: str = "test",
     root: str | None = None,
+    aerial_map: str | Path | None = None,
     limit: int | None = None,
     heading_half_width_deg: float | None = None,
     headings: str | Path | None = None,
@@ -84,6 +85,8 @@ def evaluate(
         Part of the data set.
     root : str, optional
         Where the data lie, if not where they lay in training.
+    aerial_map : path, optional
+        The map of a table's rows, if not that of the run.
     limit : int, optional
         Only so many samples, evenly spaced over the part.
     heading_half_width_deg : float, optional
@@ -156,6 +159,7 @@ def evaluate(
         part=part,
         split=split,
         root=root,
+        aerial_map=None if aerial_map is None else str(aerial_map),
         heading_half_width_deg=heading_half_width_deg,
         headings=None if headings is None else str(headings),
         headings_unit=headings_unit,
@@ -247,11 +251,15 @@ def _measure_on_dask(
 ) -> list[Row]:
     """Rows of the samples chosen, from many processes: the same as from one."""
     request = {**settings, "samples": digest(chosen), "weights": _weights(settings)}
-    # Whole batches, as one process makes them.
+    # Whole batches, as one process makes them: the sums of others differ in their last digits.
     size = config.batch_size
     batches = [chosen[start : start + size] for start in range(0, len(chosen), size)]
+    groups = [
+        [index for batch in part for index in batch]
+        for part in split_groups([[batch] for batch in batches])
+    ]
     parts = Parts(folder / "parts", request)
-    table = run_parts(measuring, parts, split_groups(batches), dask, progress)
+    table = run_parts(measuring, parts, groups, dask, progress)
     rows: list[Row] = table.to_pylist()
     parts.remove()
     check_faults([row["error"] for row in rows if row["error"] is not None], config)

@@ -2,8 +2,9 @@
 
 import functools
 import tempfile
+import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -52,7 +53,7 @@ class Measuring:
     ----------
     run, part : str
         The run's folder, and the part of its data set.
-    split, root : str or None
+    split, root, aerial_map : str or None
         As `slicematch.evaluate` takes them.
     heading_half_width_deg : float or None
         Likewise.
@@ -60,16 +61,20 @@ class Measuring:
         Likewise, with their unit.
     settings : tuple of (name, value)
         Further arguments of `Localizer.load`.
+    call : str
+        Tells calls apart: the run or its data may have changed since the last one.
     """
 
     run: str
     part: str
     split: str | None = None
     root: str | None = None
+    aerial_map: str | None = None
     heading_half_width_deg: float | None = None
     headings: str | None = None
     headings_unit: HeadingUnit = "degrees"
     settings: tuple[tuple[str, Any], ...] = ()
+    call: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     columns: ClassVar[Mapping[str, str]] = SAMPLE_COLUMNS
 
@@ -82,6 +87,9 @@ class Measuring:
         if self.heading_half_width_deg is not None:
             _use_heading_prior(localizer, self.heading_half_width_deg)
         config = localizer.config
+        if self.aerial_map is not None:
+            others = {**config.data_settings, "map": self.aerial_map}
+            config = replace(config, data_settings=others)
         samples = (
             config.dataset(self.part, self.root, self.split or config.split)
             if dataset is None

@@ -2,6 +2,7 @@
 
 import functools
 import logging
+import uuid
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -45,6 +46,8 @@ class Locating:
         As `MapLocalizer` takes them.
     settings : tuple of (name, value)
         Further arguments of `Localizer.load`.
+    call : str
+        Tells calls apart: the run or the map may have changed since the last one.
     """
 
     run: str
@@ -54,6 +57,7 @@ class Locating:
     side_m: float | None = None
     shared_m: float | None = None
     settings: tuple[tuple[str, Any], ...] = ()
+    call: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     columns: ClassVar[Mapping[str, str]] = ANSWER_COLUMNS
 
@@ -263,7 +267,8 @@ def locate(
     localizer = work.localizer().localizer  # and what else can be wrong, and the bank, once
     folder = target.with_name(f"{target.name}.parts")
     request = asdict(work) | {
-        # Not where it is done, which may change before it goes on.
+        # Not when and where it is done, which may change before it goes on.
+        "call": None,
         "settings": {k: v for k, v in settings.items() if k not in ("device", "cache")},
         "version": __version__,
         "weights": digest(RunFolder(Path(run)).checkpoint(checkpoint)),
@@ -283,6 +288,7 @@ def locate(
         save_figure(draw_answers(opened, answers), picture)
         drawn = Path(picture)
     parts.remove()
+    _loaded.cache_clear()
     return Located(answers, opened.crs, localizer.calibrated, target, drawn)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from slicematch.data.errors import PlaceError
@@ -23,6 +24,7 @@ _MARGIN, _LEAST_MARGIN_M = 0.08, 25.0
 _MOST_READ = 3e8
 _ARROW = 0.035  # of the picture's side
 _INK, _RING = "#17212b", "#ffffff"
+_OUTLINE = [withStroke(linewidth=2.2, foreground="#00000090")]
 
 
 def draw_answers(aerial_map: AerialMap, answers: Any, title: str = "") -> Figure:
@@ -64,6 +66,7 @@ def draw_answers(aerial_map: AerialMap, answers: Any, title: str = "") -> Figure
     axes.quiver(
         east, north, np.sin(heading), np.cos(heading), color=_RING, angles="xy", width=0.0035,
         scale=1 / (_ARROW * 2 * half_m), scale_units="xy", headwidth=3.5, headlength=4, zorder=3,
+        edgecolor=_INK, linewidth=0.4,
     )  # fmt: skip
     points = axes.scatter(
         east, north, c=likely, s=_dot_area(len(found)), cmap="plasma", vmin=0.0, vmax=1.0,
@@ -102,7 +105,7 @@ def _draw_ellipses(axes: Axes, places: NDArray[np.float64], found: Any) -> None:
         EllipseCollection(
             2 * major, 2 * minor, 90.0 - found["ellipse_azimuth_deg"].to_numpy(), units="xy",
             offsets=places, offset_transform=axes.transData, facecolors="#ffffff30",
-            edgecolors=_RING, linewidths=1.0, zorder=2,
+            edgecolors=_RING, linewidths=1.0, zorder=2, path_effects=_OUTLINE,
         )
     )  # fmt: skip
 

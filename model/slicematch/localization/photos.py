@@ -6,16 +6,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from slicemask.errors import SlicemaskError
+from slicemask.errors import ImageError, SlicemaskError
 from slicemask.image_formats import FORMATS_TEXT
 from slicemask.images import Picture, read_image
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError, SampleError
+from slicematch.data.panoramas import LEVEL_WITHIN_DEG, level, read_panorama, says_its_tilt
 from slicematch.data.photographs import read_photographs
 from slicematch.data.positions import read_fix
 from slicematch.data.table_cameras import table_cameras
 from slicematch.data.table_files import SUFFIXES
-from slicematch.data.views import View, cut_view
+from slicematch.data.views import View, cut_view, is_whole, level_pinhole
 from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import check_centre
 from slicematch.localization.localizer import COMPASS_DEG, HeadingPrior
@@ -44,6 +45,8 @@ class Photo:
         What its receiver says of that.
     heading_deg : float or None
         Of its centre column, as its compass says.
+    pitch_deg, roll_deg : float
+        Of its camera, if it was tilted (`slicematch.data.panoramas.level`).
     camera : Camera or None
         That took it, if a table says so; None for the run's own, or a whole panorama.
     error : str or None
@@ -57,6 +60,8 @@ class Photo:
     lon: float | None = None
     accuracy_m: float | None = None
     heading_deg: float | None = None
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
     camera: Camera | None = None
     error: str | None = None
 
@@ -77,21 +82,32 @@ class Photo:
         return self.lat, self.lon
 
     def image(self, config: TrainConfig) -> Picture:
-        """What a run takes of it: its file, or of another camera's image what the run's view shows.
+        """What a run takes of it: its file, or an image that is levelled and of the run's view.
 
         Raises
         ------
         ImageError
             If it cannot be read, or does not show the run's view.
         """
-        view = config.data_settings.get("view")
-        if self.camera is None or view is None or config.ground_size is None:
-            return self.ground
-        image = self.camera.undistort(read_image(self.ground), self.ground)
-        # Not yet as small as the run takes it: that follows once elevations are cropped.
-        width = max(config.ground_size[1], min(image.width, 2 * config.ground_size[1]))
-        size = round(width / View(*view).aspect(self.camera.projection)), width
-        return cut_view(image, self.camera, View(*view), None, size, self.ground)
+        tilt = self.pitch_deg, self.roll_deg
+        tilted = max(map(abs, tilt)) > LEVEL_WITHIN_DEG
+        view, size = config.data_settings.get("view"), config.ground_size
+        if self.camera is not None and self.camera.projection != config.projection:
+            raise ImageError(
+                f"{self.ground}: its camera is {self.camera.projection}, and the run was trained "
+                f"with {config.projection} images; name a run of such cameras"
+            )
+        if self.camera is not None and view is not None and size is not None:
+            image = self.camera.undistort(read_image(self.ground), self.ground)
+            if tilted and self.camera.projection == "pinhole":
+                image = level_pinhole(image, self.camera, *tilt)
+            # Not yet as small as the run takes it: that follows once elevations are cropped.
+            width = max(size[1], min(image.width, 2 * size[1]))
+            height = round(width / View(*view).aspect(self.camera.projection))
+            return cut_view(image, self.camera, View(*view), None, (height, width), self.ground)
+        if tilted and self.camera is None and not says_its_tilt(self.ground):
+            return level(read_panorama(self.ground, config.ground_fit).image, *tilt)
+        return self.ground
 
     def known(self, priors: "Priors", within_m: float | None) -> dict[str, Any]:
         """What is known of it, as columns of `slicematch.localization.answers.ANSWER_COLUMNS`."""
@@ -126,7 +142,7 @@ class Priors:
 
     def __post_init__(self) -> None:
         if self.near is not None:
-            check_centre(self.near, "the place")
+            object.__setattr__(self, "near", check_centre(self.near, "the place"))
         if self.within_m is not None and not (math.isfinite(self.within_m) and self.within_m > 0):
             raise ConfigError(f"within is {self.within_m:g} m; it must be above 0")
         width = self.heading_half_width_deg
@@ -167,8 +183,8 @@ def find_photos(
     sources : sequence of path
         Images, folders of images, patterns such as ``photos/*.jpg``, or tables
         (`slicematch.data.photographs.read_photographs`), of which the columns ``ground`` and, where
-        they are known, ``id``, ``lat``, ``lon``, ``accuracy_m``, ``heading_deg`` and ``camera`` are
-        used.
+        they are known, ``id``, ``lat``, ``lon``, ``accuracy_m``, ``heading_deg``, ``pitch_deg``,
+        ``roll_deg`` and ``camera`` are used.
     near : (lat, lon), optional
         Where all of them were taken, whatever they say themselves.
 
@@ -224,9 +240,9 @@ def _rows_of(path: Path) -> list[dict[str, Any]]:
         if named:
             row["id"] = photographs.ids[number]
         camera = cameras.by_name[cameras.of_rows[number]]
-        if camera.projection == "pinhole" or camera.hfov_deg not in (None, 360.0):
+        if not is_whole(camera):
             row["camera"] = camera
-        for column in ("lat", "lon", "accuracy_m", "heading_deg"):
+        for column in ("lat", "lon", "accuracy_m", "heading_deg", "pitch_deg", "roll_deg"):
             value = photographs.number(column, number)
             if value is not None:
                 row[column] = value

@@ -22,7 +22,9 @@ from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.runs.shipped import find_run
 
 
-def pack(run: str | Path, out: str | Path, checkpoint: Checkpoint = "best") -> Path:
+def pack(
+    run: str | Path, out: str | Path, checkpoint: Checkpoint = "best", grid: str | None = None
+) -> Path:
     """Write what answering with a run takes into a folder of its own.
 
     Parameters
@@ -33,6 +35,9 @@ def pack(run: str | Path, out: str | Path, checkpoint: Checkpoint = "best") -> P
         The folder to write, new or empty.
     checkpoint : {"best", "last"}
         Which weights.
+    grid : str, optional
+        Candidates that it is to answer with unless told otherwise, such as "21x21x64"; the run's
+        test grid by default.
 
     Returns
     -------
@@ -44,9 +49,13 @@ def pack(run: str | Path, out: str | Path, checkpoint: Checkpoint = "best") -> P
     RunError
         If the run cannot be loaded, the folder holds something or cannot be written, or a weight
         is too large for half precision.
+    slicemask.errors.SpecError
+        If the grid is invalid.
     """
     source = RunFolder(find_run(run))
     config, model = source.load_model(checkpoint)
+    if grid is not None:
+        config = replace(config, test_grid=grid)
     fitted = source.load_calibration(config)
     target = RunFolder(check_folder(out, RunError))
     if target.path.exists() and any(target.path.iterdir()):
@@ -77,5 +86,10 @@ def _without_paths(config: TrainConfig) -> TrainConfig:
         name: Path(value).name if name.endswith("_dir") and value else value
         for name, value in config.data_settings.items()
     }
-    root, weights = (Path(path).name for path in (config.root, config.weights))
-    return replace(config, root=root, weights=weights, data_settings=own)
+    return replace(
+        config,
+        root=Path(config.root).name,
+        weights=Path(config.weights).name,
+        init=None if config.init is None else Path(config.init).name,
+        data_settings=own,
+    )

@@ -44,6 +44,7 @@ log = logging.getLogger(__name__)
 _MAY_CHANGE_ON_RESUME = (
     "root",
     "split_dir",
+    "map",
     "epochs",
     "workers",
     "accelerator",

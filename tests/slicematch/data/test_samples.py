@@ -50,6 +50,12 @@ def test_items_are_of_the_agreed_types(make_vigor_tree, tmp_path):
     assert sample["index"] == 1
 
 
+def test_a_loop_over_the_samples_ends(make_vigor_tree, tmp_path):
+    make_vigor_tree(tmp_path, pairs=2)
+    for part in ("train", "test"):
+        assert [sample["index"] for sample in open_vigor(tmp_path, part)] == [0, 1]
+
+
 def test_without_a_list_of_bad_samples_they_raise(broken_tree):
     dataset = open_vigor(broken_tree)
     with pytest.raises(SampleError, match=r"pano_001.*no such image"):

@@ -5,11 +5,13 @@ import math
 import numpy as np
 import pytest
 from PIL import Image
+from slicematch.data.cameras import Camera
 from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import denormalise
 from slicematch.data.table import TableConfig
 from slicematch.data.table_files import write_table
+from slicematch.data.views import level_pinhole
 from slicematch.data.vigor import VigorConfig
 from slicematch.localization.geodesy import offset_position
 
@@ -254,6 +256,46 @@ def test_a_list_of_headings_goes_before_drawn_ones(table, pairs):
     assert dataset.poses()[:, 2].tolist() == [10.0, 20.0, 30.0, 40.0, 50.0]
 
 
+def test_a_part_of_each_panorama_is_vigor_s(table, pairs, vigor):
+    own = PoseDataset(table(pairs, hfov_deg=120.0, elevations=(-30, 60)), "train")
+    config = VigorConfig(
+        root=vigor.root, cities=("Chicago",), hfov_deg=120.0, elevations=(-30, 60), **SIZES
+    )
+    ours = PoseDataset(config, "train")
+    assert own.hfov_deg == ours.hfov_deg == 120.0
+    for a, b in zip(own, ours, strict=True):
+        assert (a["ground"] == b["ground"]).all()
+        np.testing.assert_allclose(a["pose"], b["pose"], atol=1e-12)
+
+
+def test_tilted_panoramas_are_levelled(table, pairs, tmp_path):
+    pitch, roll = 12.0, -7.0
+    xmp = (
+        '<x:xmpmeta xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
+        f'GPano:PosePitchDegrees="{pitch}" GPano:PoseRollDegrees="{roll}"/>'
+    )
+    table(pairs)  # makes the names absolute
+    for number, row in enumerate(pairs):
+        said = tmp_path / f"says_{number}.jpg"
+        with Image.open(row["ground"]) as image:
+            image.save(said, quality=95, xmp=xmp.encode())
+        with Image.open(said) as image:
+            Image.fromarray(np.asarray(image)).save(tmp_path / f"{number}.png")
+        row["ground"] = str(tmp_path / f"{number}.png")
+    plain = list(PoseDataset(table(pairs), "test"))
+    for row in pairs:
+        row |= {"pitch_deg": pitch, "roll_deg": roll}
+    levelled = list(PoseDataset(table(pairs), "test"))
+    # What the file says of itself is done once, whatever the table says.
+    for number, row in enumerate(pairs):
+        row["ground"] = str(tmp_path / f"says_{number}.jpg")
+    says = list(PoseDataset(table(pairs), "test"))
+    for a, b, c in zip(plain, levelled, says, strict=True):
+        # Headings are drawn by name, and the files' names are the ids here.
+        assert float((b["ground"] - c["ground"]).abs().max()) < 1e-5
+        assert float((a["ground"] - b["ground"]).abs().mean()) > 0.05
+
+
 # On a map.
 
 
@@ -420,6 +462,71 @@ def test_cameras_that_do_not_go_together(pinhole, table, pairs, tmp_path):
     (tmp_path / "cameras.yaml").unlink()
     with pytest.raises(DatasetError, match="expected one of panorama, as there is no"):
         table(pairs)
+
+
+@pytest.mark.parametrize(("pitch_deg", "roll_deg"), [(10.0, 0.0), (-15.0, 20.0), (0.0, -30.0)])
+def test_tilted_pinhole_images_are_levelled(pitch_deg, roll_deg):
+    """Marks at known azimuths and elevations show where a level camera would see them."""
+    camera = Camera(projection="pinhole", width=400, height=300, fx=200.0, cx=210.0, cy=140.0)
+    pitch, roll = math.radians(pitch_deg), math.radians(roll_deg)
+    for azimuth_deg, elevation_deg in ((0, 0), (15, 0), (-20, 5), (10, -8)):
+        azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+        right = math.cos(elevation) * math.sin(azimuth)
+        ahead = math.cos(elevation) * math.cos(azimuth)
+        up = math.sin(elevation)
+        # Pitched up, the camera sees all lower; rolled to the right, all turned to the left.
+        ahead_p = ahead * math.cos(pitch) + up * math.sin(pitch)
+        up_p = up * math.cos(pitch) - ahead * math.sin(pitch)
+        right_r = right * math.cos(roll) - up_p * math.sin(roll)
+        up_r = up_p * math.cos(roll) + right * math.sin(roll)
+        row, column = 140 - 200 * up_r / ahead_p, 210 + 200 * right_r / ahead_p
+        assert 10 < row < 290
+        assert 10 < column < 390
+        rows, columns = np.indices((300, 400)) + 0.5
+        mark_at = 255 * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / 18)
+        image = Image.fromarray(np.repeat(mark_at[..., None], 3, 2).astype(np.uint8))
+        level = np.asarray(level_pinhole(image, camera, pitch_deg, roll_deg), float)[..., 0]
+        found = (rows * level).sum() / level.sum(), (columns * level).sum() / level.sum()
+        expected = 140 - 200 * up / ahead, 210 + 200 * right / ahead
+        np.testing.assert_allclose(found, expected, atol=0.7)
+
+
+def test_the_table_s_tilt_of_pinhole_images_counts(pinhole, pairs):
+    plain = list(PoseDataset(pinhole({"front": FRONT}), "test"))
+    for row in pairs:
+        row["pitch_deg"] = 20.0
+    tilted = list(PoseDataset(pinhole({"front": FRONT}), "test"))
+    for row in pairs:
+        row["pitch_deg"] = 1.0  # counts as level
+    level = list(PoseDataset(pinhole({"front": FRONT}), "test"))
+    for a, b, c in zip(plain, tilted, level, strict=True):
+        assert (a["ground"] == c["ground"]).all()
+        assert (a["ground"] != b["ground"]).any()
+
+
+def test_a_part_of_panoramas_is_not_turned(table, pairs, vigor, tmp_path):
+    for number, row in enumerate(pairs):
+        with Image.open(vigor.root / row["ground"]) as image:
+            image.crop((32, 16, 96, 48)).save(tmp_path / f"{number}.png")  # 180 by 90 degrees
+        row |= {"ground": str(tmp_path / f"{number}.png"), "heading_deg": 30.0 * number}
+    (tmp_path / "cameras.yaml").write_text("half: {projection: equirectangular, hfov_deg: 180}\n")
+    with pytest.raises(DatasetError, match="camera half: is a part of a panorama; its width and"):
+        table([dict(row) for row in pairs])
+    (tmp_path / "cameras.yaml").write_text(
+        "half: {projection: equirectangular, hfov_deg: 180, width: 64, height: 32}\n"
+    )
+    config = table([dict(row) for row in pairs])
+    assert (config.hfov_deg, config.view) == (180.0, (-90.0, 90.0, -45.0, 45.0))
+    dataset = PoseDataset(config, "train")
+    np.testing.assert_allclose(dataset.poses()[:, 2], [0.0, 30.0, 60.0, 90.0, 120.0])
+    with Image.open(tmp_path / "2.png") as image:
+        shown = np.asarray(image.convert("RGB"))
+    np.testing.assert_allclose(denormalise(dataset[2]["ground"]), shown, atol=1)
+    with pytest.raises(DatasetError, match=r"hfov_deg is 90; the images of .* show 180 degrees"):
+        table([dict(row) for row in pairs], hfov_deg=90.0)
+    (tmp_path / "cameras.yaml").unlink()
+    with pytest.raises(DatasetError, match=r"photos\.csv lists whole panoramas, of which hfov_deg"):
+        table(pairs, view=(-90.0, 90.0, -45.0, 45.0))
 
 
 def test_pinhole_images_take_no_heading_prior(pinhole):

@@ -19,6 +19,7 @@ from slicematch.localization.locate import Located, locate, partition
 from slicematch.localization.photos import Photo, Priors, find_photos
 
 from slicemask.cli.main import main
+from slicemask.errors import ImageError
 
 pytest.importorskip("rasterio")
 geopandas = pytest.importorskip("geopandas")
@@ -267,6 +268,26 @@ def test_photographs_that_come_twice(mapped, tmp_path):
         find_photos([table])
     table.write_text(f"id,ground,lat,lon\na,{photo},1,2\nb,{photo},1,2\n")
     assert [one.id for one in find_photos([table])] == ["a", "b"]
+
+
+def test_what_a_table_says_of_the_cameras_counts(mapped, run, tmp_path):
+    from slicematch.data.panoramas import level, read_panorama
+    from slicematch.runs.folder import RunFolder
+
+    photo = sorted(mapped.folder.iterdir())[0]
+    config = RunFolder(run).load_config()
+    table = tmp_path / "t.csv"
+    table.write_text(f"id,ground,lat,lon,pitch_deg\na,{photo},1,2,0\nb,{photo},1,2,20\n")
+    straight, tilted = find_photos([table])
+    assert straight.image(config) == str(photo)
+    expected = level(read_panorama(photo).image, 20.0, 0.0)
+    assert (np.asarray(tilted.image(config)) == np.asarray(expected)).all()
+    (tmp_path / "cameras.yaml").write_text(
+        "front: {projection: pinhole, hfov_deg: 90, width: 128, height: 64}\n"
+    )
+    (front, _) = find_photos([table])
+    with pytest.raises(ImageError, match="its camera is pinhole, and the run was trained with eq"):
+        front.image(config)
 
 
 def test_the_command(run, cache, mapped, tmp_path):

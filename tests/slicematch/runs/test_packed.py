@@ -18,6 +18,7 @@ from slicematch.runs.start import network_settings
 from slicematch.training.train import train
 
 from slicemask.cli.main import main
+from slicemask.errors import SpecError
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +92,14 @@ def test_its_weights_are_half_as_large(packed, run):
 def test_it_holds_one_checkpoint(packed):
     with pytest.raises(RunError, match=r"last.ckpt: there is no such checkpoint"):
         RunFolder(packed).load_model("last")
+
+
+def test_it_may_answer_with_another_grid(run, tmp_path):
+    small = pack(run, tmp_path / "small", grid="5x5x8")
+    assert RunFolder(small).load_config().test_grid == "5x5x8"
+    with pytest.raises(SpecError, match="five"):
+        pack(run, tmp_path / "other", grid="five")
+    assert not (tmp_path / "other").exists()
 
 
 def test_weights_beyond_half_precision_are_refused(run, tmp_path):

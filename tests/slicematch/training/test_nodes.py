@@ -71,7 +71,7 @@ def test_two_nodes_take_the_steps_of_one_process(make_vigor_tree, tmp_path):
     for node in nodes:
         assert node.wait(600) == 0, node.stdout.read()
     losses = [
-        [json.loads(line)["train_loss"] for line in (tmp_path / out / "metrics.jsonl").open()]
+        [json.loads(line)["train/loss"] for line in (tmp_path / out / "metrics.jsonl").open()]
         for out in ("alone", "nodes")
     ]
     assert len(losses[0]) == 2
