@@ -44,6 +44,10 @@ class SynthError(SlicemaskError, OSError):
     """Invalid settings of a generated city, or one that cannot be written where it should go."""
 
 
+class AppError(SlicemaskError, OSError):
+    """A page that cannot be served where it was asked for."""
+
+
 def is_out_of_memory(error: Exception) -> bool:
     """Whether an error says that memory ran out: Python's, or one of torch's, on any device.
 

@@ -29,9 +29,10 @@ _COMMANDS = {
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
-    "pack": ("pack", "Write what predicting with a trained RUN takes into a small folder."),
+    "app": ("app", "Serve a page to look at: slices, or answers of a trained RUN."),
+    "pack": ("pack", "Pack what predicting with a trained RUN takes into a folder."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
-    "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map."),
+    "tiles": ("locate", "Cut the aerial tiles of a TABLE from a map, to train on."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }
 

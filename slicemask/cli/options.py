@@ -59,6 +59,16 @@ class NumberList(ParamType):
             )
 
 
+class NameList(ParamType):
+    """Names separated by commas."""
+
+    name = "name,..."
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Read a value that was typed."""
+        return tuple(value.split(",")) if isinstance(value, str) else value
+
+
 class ImageSize(ParamType):
     """Columns and rows of an image, such as 1024x512."""
 

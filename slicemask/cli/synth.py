@@ -6,12 +6,17 @@ from typing import Any
 
 import click
 
-from slicemask.cli.options import ImageSize, as_json_option
+from slicemask.cli.options import ImageSize, NameList, as_json_option
 from slicemask.cli.output import print_result, progress_bar
+from slicemask.synth.vary.switches import SWITCHES
+
+_VARY_HELP = "VIGOR: domain randomisation, all or some of " + "; ".join(
+    f"{switch.name} ({switch.help})" for switch in SWITCHES.values()
+)
 
 # The options of each format that not all have.
 _OPTIONS = {
-    "vigor": {"cities", "panoramas", "panorama_size"},
+    "vigor": {"cities", "panoramas", "panorama_size", "places", "vary", "label_noise_m"},
     "kitti": {"frames", "image_size"},
     "table": {"panoramas", "panorama_size", "image_size"},
 }
@@ -24,6 +29,11 @@ _OPTIONS = {
 @click.option("--out", metavar="DIR", required=True, help="Root of the data set.")
 @click.option("--cities", type=int, help="VIGOR: cities, 1 to 4.  [default: 1]")
 @click.option("--panoramas", type=int, help="VIGOR, table: per city.  [default: 400]")
+@click.option("--places", type=int, help="VIGOR: layouts of each city.  [default: 1]")
+@click.option("--vary", type=NameList(), help=f"{_VARY_HELP}.")
+@click.option(
+    "--label-noise-m", type=float, help="VIGOR: deviation of the labels' errors.  [default: 0]"
+)
 @click.option("--frames", type=int, help="KITTI: frames in all.  [default: 200]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
 @click.option("--panorama-size", type=ImageSize(), help="VIGOR, table.  [default: 2048x1024]")

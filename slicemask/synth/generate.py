@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,11 +16,13 @@ from slicemask.files import check_folder
 from slicemask.interrupts import CancelCheck, run_cancellable
 from slicemask.synth.formats import kitti, vigor
 from slicemask.synth.formats.files import write_text
+from slicemask.synth.vary.switches import check_switches
 from slicemask.threads import thread_count
 
 # Raised with every change that alters a picture or a label.
 VERSION = 1
 RECORD = "synth.json"
+MOST_LABEL_NOISE_M = 20.0  # more would move cameras off their tiles
 # How often it is looked whether to stop.
 _POLL_S = 0.1
 Progress = Callable[[int, int], None]
@@ -60,6 +62,9 @@ def generate_vigor(
     seed: int = 0,
     panorama_size: tuple[int, int] = (2048, 1024),
     tile_size: int = 640,
+    places: int = 1,
+    vary: Sequence[str] = (),
+    label_noise_m: float = 0.0,
     jobs: int | None = None,
     progress: Progress | None = None,
 ) -> SynthResult:
@@ -83,6 +88,15 @@ def generate_vigor(
         Twice as wide as high.
     tile_size : int
         Pixels a side. Tiles cover the same ground at any size; labels stay on the 640-pixel scale.
+    places : int
+        Layouts of each city, which share its panoramas: with more than one, a city is many small
+        ones, far apart, under one name.
+    vary : sequence of str
+        Switches of domain randomisation, keys of `slicemask.synth.vary.switches.SWITCHES`, or
+        "all". None leaves all cities as they always were.
+    label_noise_m : float
+        Deviation of the errors of the labels, metres east and north, as GPS has them. Pictures stay
+        the same.
     jobs : int, optional
         Processes; all processors by default.
     progress : callable, optional
@@ -100,6 +114,15 @@ def generate_vigor(
     check_at_least("panoramas", panoramas, 1)
     check_at_least("seed", seed, 0)
     check_at_least("tile_size", tile_size, 16)
+    if not 1 <= places <= panoramas:
+        raise SynthError(
+            f"places is {places}; it must be 1 to the number of panoramas a city, {panoramas}"
+        )
+    if not 0.0 <= label_noise_m <= MOST_LABEL_NOISE_M:
+        raise SynthError(
+            f"label_noise_m is {label_noise_m}; it must be 0 to {MOST_LABEL_NOISE_M:g} metres"
+        )
+    switches = check_switches(vary)
     columns, rows = panorama_size
     if rows < 16 or columns != 2 * rows:
         raise SynthError(
@@ -107,25 +130,32 @@ def generate_vigor(
         )
     jobs = thread_count(jobs)
     root = Path(out)
-    specs = [
-        vigor.VigorSpec(seed, city, panoramas, (columns, rows), tile_size) for city in range(cities)
-    ]
-    # Planned before anything is written: not every plan can be.
-    tasks: list[_Task] = [task for spec in specs for task in vigor.list_tasks(root, spec)]
-    claim_folder(
-        root,
-        {
-            "format": "vigor",
-            "version": VERSION,
-            "seed": seed,
-            "cities": cities,
-            "panoramas": panoramas,
-            "panorama_size": [columns, rows],
-            "tile_size": tile_size,
-        },
+    whole = vigor.VigorSpec(
+        seed, 0, panoramas, (columns, rows), tile_size, None, switches, label_noise_m
     )
-    for spec in specs:
-        vigor.write_labels(root, spec)
+    specs = [vigor.city_specs(replace(whole, city=city), places) for city in range(cities)]
+    # Planned before anything is written: not every plan can be.
+    tasks: list[_Task] = [
+        task for city in specs for spec in city for task in vigor.list_tasks(root, spec)
+    ]
+    record: dict[str, Any] = {
+        "format": "vigor",
+        "version": VERSION,
+        "seed": seed,
+        "cities": cities,
+        "panoramas": panoramas,
+        "panorama_size": [columns, rows],
+        "tile_size": tile_size,
+    }
+    if places > 1:
+        record["places"] = places
+    if label_noise_m:
+        record["label_noise_m"] = label_noise_m
+    if switches:
+        record["vary"] = list(switches)
+    claim_folder(root, record)
+    for city in specs:
+        vigor.write_labels(root, city)
     return run_tasks(root, tasks, jobs, progress)
 
 

@@ -199,6 +199,46 @@ class Localizer:
             features = self.model.encode_aerial(pixels[None].to(self.device))
         return AerialTile(features, image.width, metres_per_pixel, window)
 
+    def encode_ground(self, ground: Picture) -> torch.Tensor:
+        """Encode a ground image, for `pair_scorer`, or for `estimate` with tiles of any number.
+
+        Parameters
+        ----------
+        ground : path, PIL image or uint8 [height, width, 3]
+            As `localize` takes it.
+
+        Returns
+        -------
+        descriptors : float [1, N * B, C]
+            d_g^{n,b}.
+
+        Raises
+        ------
+        ImageError
+            If the image cannot be read or has the wrong proportions.
+        """
+        with torch.no_grad():
+            return self.model.encode_ground(self._as_input(self.read_ground(ground)))
+
+    def pair_scorer(self, ground: torch.Tensor, tile: AerialTile) -> PairScorer:
+        """The score of any pose for one pair of images, and what each slice adds to it.
+
+        Parameters
+        ----------
+        ground : float [1, N * B, C]
+            What `encode_ground` gives.
+        tile : AerialTile
+            What `encode_aerial` gives. Poses are in the frame of its window.
+
+        Returns
+        -------
+        PairScorer
+            For poses on and off the grid.
+        """
+        with torch.no_grad():
+            attention = self.model.attend(tile.features, ground)
+        return PairScorer(ground[0], tile.features[0], attention[0], self.frustum)
+
     def localize(
         self,
         ground: Picture,

@@ -57,6 +57,22 @@ class PairScorer:
         scores : float [K]
             In [-1, 1]; 0 for a pose whose slices all miss the tile.
         """
+        return self.contributions(poses).sum(dim=(1, 2))
+
+    def contributions(self, poses: Tensor) -> Tensor:
+        """What each band of each slice adds to the scores of poses.
+
+        Parameters
+        ----------
+        poses : float64 [K, 3]
+            u, v in [0, 1] of the aerial frame and heading_deg.
+
+        Returns
+        -------
+        contributions : float [K, N, B]
+            d_g^{n,b} . d_a^{k,n,b} over the lengths of the global descriptors: they sum to the
+            score. 0 where a part of a slice misses the tile.
+        """
         device, cells = self.features.device, self.features.shape[-1]
         with torch.autocast(device.type, enabled=False):
             ground = self.ground.float()
@@ -64,13 +80,14 @@ class PairScorer:
             masks = masks.flatten(1, -3).flatten(2).float()  # [K, N * B, L * L]
             columns = self.features.flatten(1).T  # [L * L, C]
             attention = self.attention.flatten(1).expand(len(ground), -1)
-            dots, present = ground.new_zeros(len(poses)), ground.new_zeros(len(poses))
+            dots, present = [], ground.new_zeros(len(poses))
             for part, seen in enumerate((masks.detach() > 0).any(dim=0)):
                 some = seen.nonzero()[:, 0]
                 taken = masks[:, part, some]
                 sums = (taken * attention[part, some].float()) @ columns[some].float()
                 areas = taken.sum(dim=1, keepdim=True).clamp_min(LEAST_AREA)
                 descriptors = unit(sums / areas)  # d_a^{k,n,b}, [K, C]
-                dots = dots + descriptors @ ground[part]
+                dots.append(descriptors @ ground[part])
                 present = present + (descriptors.detach() != 0).any(dim=1)
-            return cosine(dots, present, ground.flatten())
+            parts = cosine(torch.stack(dots), present, ground.flatten()).T  # [K, N * B]
+            return parts.unflatten(1, (self.frustum.slices, self.frustum.band_count))

@@ -23,6 +23,7 @@ from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
 from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene, View, build_scene
+from slicemask.synth.vary.pictures import AerialLook
 
 # Web mercator at zoom 18, double scale, at KITTI's latitude.
 METRES_PER_PIXEL = 156543.03392 * float(np.cos(np.radians(49.015))) / 2**18 / 2
@@ -217,7 +218,7 @@ class DriveTilesTask:
                 plan.gps[list(self.numbers)],
                 METRES_PER_PIXEL,
                 spec.tile_size,
-                (Light.draw(rng, aerial=True), Grade.draw(rng)),
+                AerialLook(Light.draw(rng, aerial=True), Grade.draw(rng)),
                 {k: (paths[k], spec.random(4, self.numbers[k])) for k in missing},
             )
         return len(missing)

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from slicemask.synth.formats.files import is_complete, write_picture
 from slicemask.synth.render.cameras import Aerial
-from slicemask.synth.render.grade import Grade
-from slicemask.synth.render.light import Light
 from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene
+from slicemask.synth.vary.pictures import AerialLook
 
 
 def missing_tiles(paths: Sequence[Path], pixels: int) -> list[int]:
@@ -24,7 +23,7 @@ def write_tiles(
     centres: NDArray[np.float64],
     metres_per_pixel: float,
     pixels: int,
-    look: tuple[Light, Grade],
+    look: AerialLook,
     wanted: dict[int, tuple[Path, np.random.Generator]],
 ) -> None:
     """Render the square tiles around centres, and write those that are wanted.
@@ -40,17 +39,18 @@ def write_tiles(
     metres_per_pixel, pixels
         Of the tiles.
     look
-        Light and sensor, the same for all.
+        Light and sensor.
     wanted
         The path of each tile to write, by its number, and random numbers for its noise.
     """
-    light, grade = look
     west, north = centres[:, 0].min(), centres[:, 1].max()
     right = np.rint((centres[:, 0] - west) / metres_per_pixel).astype(int)
     down = np.rint((north - centres[:, 1]) / metres_per_pixel).astype(int)
     half = pixels / 2 * metres_per_pixel
     shape = int(down.max()) + pixels, int(right.max()) + pixels
-    image = render(scene, Aerial((west - half, north + half), metres_per_pixel, shape), light)
+    camera = look.aim(Aerial((west - half, north + half), metres_per_pixel, shape))
+    image = render(scene, camera, look.varied_light())
     for number, (path, rng) in wanted.items():
         top, left = down[number], right[number]
-        write_picture(path, grade.apply(image[top : top + pixels, left : left + pixels], rng))
+        tile = image[top : top + pixels, left : left + pixels]
+        write_picture(path, look.pixels(tile, metres_per_pixel, number, rng))

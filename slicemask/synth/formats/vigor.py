@@ -6,7 +6,8 @@ centre is nearest, and the other three of the four tiles around it are its semi-
 """
 
 import base64
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,12 +18,14 @@ from numpy.typing import NDArray
 from slicemask.errors import SynthError
 from slicemask.synth.formats.files import is_complete, write_picture, write_text
 from slicemask.synth.formats.tiles import missing_tiles, write_tiles
-from slicemask.synth.layout.city import City, lay_out_city
+from slicemask.synth.layout.city import City
 from slicemask.synth.render.cameras import Panorama
 from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
-from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene, View, build_scene
+from slicemask.synth.vary.pictures import AerialLook, panorama_pixels
+from slicemask.synth.vary.places import in_season, lay_out
+from slicemask.synth.vary.switches import Variation
 
 
 @dataclass(frozen=True)
@@ -53,14 +56,17 @@ MARGIN_M = 45.0  # of city around the outermost tiles
 # VIGOR holds up to two panoramas a tile. Here the city grows no further than this number of tiles
 # a side, and then its tiles get more panoramas each.
 MOST_TILES = 26
+LEAST_TILES = 5  # a side of a place, for its streets to have room
 METRES_PER_DEGREE = 111_320.0  # of latitude
 TRIES = 1000  # for each panorama to find a place
 BLOCK = 4  # tiles a side that are rendered at once, because they overlap
+MOST_PLANS = 64  # that are kept in memory
+PLACE_STEP_DEG = 0.05  # of longitude between a city's places
 
 
 @dataclass(frozen=True)
 class VigorSpec:
-    """What decides every byte of one city.
+    """What decides every byte of one city, or of one of its places.
 
     Parameters
     ----------
@@ -71,6 +77,12 @@ class VigorSpec:
     panorama_size : (columns, rows)
     tile_size
         Pixels a side.
+    place
+        Its number in a city of several places, each a layout of its own; None if it is the city.
+    vary
+        Switches of domain randomisation that are on.
+    label_noise_m
+        Deviation of the labels' errors, in metres, east and north.
     """
 
     seed: int
@@ -78,6 +90,20 @@ class VigorSpec:
     panoramas: int
     panorama_size: tuple[int, int]
     tile_size: int
+    place: int | None = None
+    vary: tuple[str, ...] = ()
+    label_noise_m: float = 0.0
+
+    @property
+    def layout_seed(self) -> tuple[int, ...]:
+        """The seed of the layout, and the start of all others."""
+        place = () if self.place is None else (1000 + self.place,)
+        return (self.seed, self.city, *place)
+
+    @property
+    def variation(self) -> Variation:
+        """The switches that are on, with their random numbers."""
+        return Variation(self.vary, self.layout_seed)
 
     @property
     def metres_per_pixel(self) -> float:
@@ -91,7 +117,7 @@ class VigorSpec:
 
     def random(self, *what: int) -> np.random.Generator:
         """Random numbers of a part of the city."""
-        return np.random.default_rng([self.seed, self.city, *what])
+        return np.random.default_rng([*self.layout_seed, *what])
 
 
 @dataclass(frozen=True)
@@ -143,7 +169,7 @@ def _tile_centres(tiles: NDArray[np.intp], tiles_a_side: int, step_m: float) -> 
     return np.stack([(column - middle) * step_m, (middle - row) * step_m], axis=-1)
 
 
-@lru_cache(maxsize=len(CITIES))
+@lru_cache(maxsize=MOST_PLANS)
 def plan_city(spec: VigorSpec) -> VigorPlan:
     """Lay out a city and choose where its panoramas are taken.
 
@@ -153,13 +179,15 @@ def plan_city(spec: VigorSpec) -> VigorPlan:
         If its streets have no room for them, as those of a city of a few tiles may.
     """
     info = CITIES[spec.city]
+    info = replace(info, longitude=info.longitude + PLACE_STEP_DEG * (spec.place or 0))
     step_m = spec.step_m
     # About 1.2 panoramas a tile, as in VIGOR.
-    side = int(np.clip(np.ceil(np.sqrt(spec.panoramas / 1.2)), 2, MOST_TILES))
+    least = 2 if spec.place is None else LEAST_TILES
+    side = int(np.clip(np.ceil(np.sqrt(spec.panoramas / 1.2)), least, MOST_TILES))
     half_extent_m = (side - 1) / 2 * step_m + LABEL_PIXELS / 2 * info.metres_per_pixel + MARGIN_M
-    city = lay_out_city((spec.seed, spec.city), half_extent_m)
+    city = lay_out(spec.layout_seed, half_extent_m, spec.variation, spec.place or 0)
     rng = spec.random(1)
-    places = _choose_places(city, spec.panoramas, side, step_m, rng)
+    places = _choose_places(city, spec.panoramas, side, step_m, rng, few_roads=bool(spec.vary))
     if len(places) < spec.panoramas:
         raise SynthError(
             f"panoramas is {spec.panoramas} and seed is {spec.seed}; the streets of {info.name} "
@@ -209,13 +237,18 @@ def _on_earth(places: NDArray[np.float64], info: VigorCity) -> list[tuple[float,
 
 
 def _choose_places(
-    city: City, count: int, side: int, step_m: float, rng: np.random.Generator
+    city: City,
+    count: int,
+    side: int,
+    step_m: float,
+    rng: np.random.Generator,
+    few_roads: bool = False,
 ) -> NDArray[np.float64]:
     """Choose places on lanes, evenly along them, float64 [count, 2] or fewer for want of room.
 
     Tiles and streets know nothing of each other, so places in their tiles are spread evenly over
     the part that is nearest to the tile's centre, as they are in VIGOR; and no tile gets more than
-    about twice the mean.
+    about twice the mean, of all tiles or, with few roads, of those that lanes cross.
     """
     reach = (side - 1) / 2 * step_m  # cameras have tiles on all sides
     inside = shapely.intersection(
@@ -223,7 +256,11 @@ def _choose_places(
     )
     lanes = shapely.get_parts(inside)
     ends = np.cumsum(shapely.length(lanes))
-    most = 2 * int(np.ceil(count / side**2)) + 1
+    tiles = side**2
+    if few_roads and len(lanes):
+        on_lanes = shapely.get_coordinates(shapely.segmentize(lanes, step_m / 4))
+        tiles = len(np.unique(np.rint((on_lanes + reach) / step_m), axis=0))
+    most = 2 * int(np.ceil(count / max(tiles, 1))) + 1
     taken = np.zeros((side, side), dtype=int)
     places: list[NDArray[np.float64]] = []
     for _ in range(TRIES * count if len(lanes) and ends[-1] else 0):
@@ -242,7 +279,7 @@ def _choose_places(
 
 @lru_cache(maxsize=1)
 def _scene(spec: VigorSpec, view: View) -> Scene:
-    return build_scene(plan_city(spec).city, view)
+    return build_scene(in_season(plan_city(spec).city, spec.variation, view), view)
 
 
 @dataclass(frozen=True)
@@ -265,8 +302,15 @@ class PanoramaTask:
         x, y = plan.places[self.number].tolist()
         position = (x, y, CAMERA_HEIGHT_M + float(rng.normal(0, 0.08)))
         camera = Panorama(position, self.spec.panorama_size[::-1])
-        image = render(_scene(self.spec, "ground"), camera, Light.draw(rng))
-        write_picture(path, Grade.draw(rng).apply(image, rng))
+        pixels = panorama_pixels(
+            _scene(self.spec, "ground"),
+            camera,
+            plan.city.heading_deg(x, y),
+            self.spec.variation,
+            self.number,
+            rng,
+        )
+        write_picture(path, pixels)
         return 1
 
 
@@ -296,39 +340,81 @@ class TilesTask:
                 plan.tile_centres(np.array(self.tiles)),
                 spec.metres_per_pixel,
                 spec.tile_size,
-                (Light.draw(rng, aerial=True), Grade.draw(rng)),
+                AerialLook(
+                    Light.draw(rng, aerial=True), Grade.draw(rng), spec.variation, self.tiles[0]
+                ),
                 {k: (paths[k], spec.random(4, self.tiles[k])) for k in missing},
             )
         return len(missing)
 
 
-def list_tasks(root: Path, spec: VigorSpec) -> list[PanoramaTask | TilesTask]:
-    """The tasks that render a city."""
+@dataclass(frozen=True)
+class PlaceTask:
+    """Renders one of a city's many places, which is small: its scenes are built once."""
+
+    tasks: tuple[PanoramaTask | TilesTask, ...]
+
+    @property
+    def images(self) -> int:
+        """Number of tiles and panoramas."""
+        return sum(task.images for task in self.tasks)
+
+    def run(self) -> int:
+        """Write the pictures that are not complete; give their number."""
+        return sum(task.run() for task in self.tasks)
+
+
+def city_specs(spec: VigorSpec, places: int) -> list[VigorSpec]:
+    """Split a city into places that share its panoramas evenly; one place is the city itself."""
+    if places == 1:
+        return [spec]
+    least, more = divmod(spec.panoramas, places)
+    return [replace(spec, place=place, panoramas=least + (place < more)) for place in range(places)]
+
+
+def list_tasks(root: Path, spec: VigorSpec) -> list[PanoramaTask | TilesTask | PlaceTask]:
+    """The tasks that render a city or a place."""
     plan = plan_city(spec)
     blocks: dict[tuple[int, int], list[int]] = {}
     for tile in np.unique(plan.positives).tolist():
         row, column = divmod(tile, plan.tiles_a_side)
         blocks.setdefault((row // BLOCK, column // BLOCK), []).append(tile)
     tiles = [TilesTask(root, spec, tuple(block)) for block in blocks.values()]
-    return [*tiles, *(PanoramaTask(root, spec, number) for number in range(spec.panoramas))]
+    panoramas = (PanoramaTask(root, spec, number) for number in range(spec.panoramas))
+    tasks: tuple[PanoramaTask | TilesTask, ...] = (*tiles, *panoramas)
+    return [*tasks] if spec.place is None else [PlaceTask(tasks)]
 
 
-def write_labels(root: Path, spec: VigorSpec) -> None:
-    """Write the label files and the list of tiles, under each of `LABEL_FOLDERS`."""
-    plan = plan_city(spec)
-    lines = []
-    for name, tiles, offsets in zip(
-        plan.panorama_names, plan.positives, plan.offsets(), strict=True
-    ):
-        fields = [name]
-        for tile, (d0, d1) in zip(tiles, offsets, strict=True):
-            fields += [plan.tile_names[tile], f"{d0:.3f}", f"{d1:.3f}"]
-        lines.append(" ".join(fields))
-    order = spec.random(5).permutation(len(lines))
+def write_labels(root: Path, specs: Sequence[VigorSpec]) -> None:
+    """Write a city's label files and lists of tiles, under each of `LABEL_FOLDERS`.
+
+    Parameters
+    ----------
+    root : Path
+        Of the data set.
+    specs
+        The city's places; the only one, where it is not split.
+    """
+    lines, listed = [], ""
+    for spec in specs:
+        plan = plan_city(spec)
+        all_offsets = plan.offsets()
+        if spec.label_noise_m:
+            # As with GPS, a camera's error is the same in all of its tiles.
+            errors = spec.random(6).normal(0, spec.label_noise_m, (len(all_offsets), 1, 2))
+            all_offsets = all_offsets + errors / plan.info.metres_per_pixel
+        for name, tiles, offsets in zip(
+            plan.panorama_names, plan.positives, all_offsets, strict=True
+        ):
+            fields = [name]
+            for tile, (d0, d1) in zip(tiles, offsets, strict=True):
+                fields += [plan.tile_names[tile], f"{d0:.3f}", f"{d1:.3f}"]
+            lines.append(" ".join(fields))
+        listed += "".join(plan.tile_names[tile] + "\n" for tile in np.unique(plan.positives))
+    order = specs[0].random(5).permutation(len(lines))
     half = (len(lines) + 1) // 2
-    listed = "".join(plan.tile_names[tile] + "\n" for tile in np.unique(plan.positives))
-    for name, suffix in LABEL_FOLDERS.items():
-        folder = root / name / plan.info.name
+    for label_folder, suffix in LABEL_FOLDERS.items():
+        folder = root / label_folder / CITIES[specs[0].city].name
         for part, numbers in (
             ("same_area_balanced_train", np.sort(order[:half])),
             ("same_area_balanced_test", np.sort(order[half:])),

@@ -34,7 +34,7 @@ def fill_block(block: Polygon, style: Style, plan: Plan, rng: np.random.Generato
     weights[2] *= 4.0 * np.exp(-((far / 120.0) ** 2)) + 0.15  # towers
     if inner.area < 700.0:
         weights[[2, 3]] = 0.0
-    zones = (lay_out_houses, _rows, _towers, _retail, lay_out_park, _mixed)
+    zones = (lay_out_houses, _rows, _towers, lay_out_retail, lay_out_park, _mixed)
     zone: Callable[[Polygon, Style, Plan, np.random.Generator], None] = zones[
         rng.choice(len(zones), p=weights / weights.sum())
     ]
@@ -116,7 +116,7 @@ def _towers(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) ->
             add_landmark(plan, free, rng)
 
 
-def _retail(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
+def lay_out_retail(lot: Polygon, style: Style, plan: Plan, rng: np.random.Generator) -> None:
     """A large flat building and its car park."""
     halves = sorted(split(lot, lot.area * 0.55, rng), key=lambda part: part.area)
     for half in halves[:-1]:

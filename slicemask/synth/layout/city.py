@@ -12,6 +12,7 @@ from slicemask.synth.layout.blocks import fill_block
 from slicemask.synth.layout.elements import (
     CAR_BODIES,
     Area,
+    Backdrop,
     Building,
     Car,
     Colour,
@@ -56,12 +57,18 @@ class City:
     style
         What its parts have in common.
     streets, areas, buildings, trees, landmarks
-        Its parts; `areas` lie on a base of asphalt.
+        Its parts; `areas` lie on the base.
     lamps
         Street lamps: x, y and the heading of the arm, degrees.
     cars_aerial, cars_ground
         The cars that stand in the aerial view, and those of the ground view: most parked ones are
         the same, those on the lanes differ.
+    base
+        What shows where no area lies, which is the streets: its kind and colour.
+    islands
+        Of roundabouts, around which lanes end.
+    backdrops
+        What stands around it, far off.
     """
 
     half_extent_m: float
@@ -74,10 +81,25 @@ class City:
     lamps: tuple[tuple[float, float, float], ...]
     cars_aerial: tuple[Car, ...]
     cars_ground: tuple[Car, ...]
+    base: tuple[Kind, Colour] = (Kind.ASPHALT, (0.30, 0.30, 0.31))
+    islands: tuple[Polygon, ...] = ()
+    backdrops: tuple[Backdrop, ...] = ()
 
     def drives(self) -> list[LineString]:
         """The middle of every lane, in the direction of travel, inside the city."""
-        return [street.drive(lane) for street in self.streets for lane in range(street.lanes)]
+        lanes = [street.drive(lane) for street in self.streets for lane in range(street.lanes)]
+        if not self.islands:
+            return lanes
+        closed = shapely.union_all(self.islands).buffer(1.5)
+        parts = shapely.get_parts(shapely.difference(np.array(lanes, dtype=object), closed))
+        return [part for part in parts if isinstance(part, LineString) and part.length > 1.0]
+
+    def heading_deg(self, x: float, y: float) -> float:
+        """Where a car at a place heads: along the nearest lane, clockwise from north."""
+        drives = self.drives()
+        point = shapely.Point(x, y)
+        nearest = drives[int(np.argmin(shapely.distance(np.array(drives, dtype=object), point)))]
+        return _heading(point_and_direction(nearest, nearest.project(point))[1])
 
     def clear_of_cars(self, places: NDArray[np.float64]) -> "City":
         """Take the cars of the ground view away from cameras' places, float64 [n, 2]."""
@@ -106,7 +128,7 @@ def lay_out_city(seed: int | Sequence[int], half_extent_m: float) -> City:
     style = Style.draw(style_rng, half_extent_m)
     streets = lay_streets(style, half_extent_m, street_rng)
     plan = Plan()
-    for block in _blocks(streets, half_extent_m):
+    for block in land_between(streets, half_extent_m):
         fill_block(block, style, plan, block_rng)
     lamps: list[tuple[float, float, float]] = []
     slots: list[Slot] = []
@@ -116,7 +138,7 @@ def lay_out_city(seed: int | Sequence[int], half_extent_m: float) -> City:
         slots += _kerb_slots(street, piece, kerb_rng)
         lamps += _line_kerbs(street, piece, style, plan, kerb_rng)
     parked = plan.slots + slots
-    cars_aerial, cars_ground = _park_cars(parked, streets, car_rng)
+    cars_aerial, cars_ground = park_cars(parked, streets, car_rng)
     return City(
         half_extent_m=half_extent_m,
         style=style,
@@ -131,11 +153,16 @@ def lay_out_city(seed: int | Sequence[int], half_extent_m: float) -> City:
     )
 
 
-def _blocks(streets: list[Street], half_extent_m: float) -> list[Polygon]:
-    """The land between the carriageways, with rounded corners."""
+def land_between(
+    streets: list[Street],
+    half_extent_m: float,
+    radius_m: float = 3.0,
+    circles: Sequence[Polygon] = (),
+) -> list[Polygon]:
+    """The land between the carriageways and the grounds of roundabouts, with rounded corners."""
     square = shapely.box(-half_extent_m, -half_extent_m, half_extent_m, half_extent_m)
-    roads = shapely.union_all([street.carriageway for street in streets])
-    land = square.difference(roads).buffer(-3.0, quad_segs=3).buffer(3.0, quad_segs=3)
+    roads = shapely.union_all([*(street.carriageway for street in streets), *circles])
+    land = square.difference(roads).buffer(-radius_m, quad_segs=3).buffer(radius_m, quad_segs=3)
     return [part for part in shapely.get_parts(land) if isinstance(part, Polygon)]
 
 
@@ -184,12 +211,13 @@ def _line_kerbs(
     return lamps
 
 
-def _park_cars(
-    slots: list[Slot], streets: list[Street], rng: np.random.Generator
+def park_cars(
+    slots: list[Slot], streets: list[Street], rng: np.random.Generator, every_m: float = 70.0
 ) -> tuple[list[Car], list[Car]]:
     """Draw the cars of the aerial and of the ground view.
 
-    One parked car in five differs between the views, and all of those on the lanes do.
+    One parked car in five differs between the views, and all of those on the lanes do; these are
+    `every_m` apart, more or less.
     """
     views: tuple[list[Car], list[Car]] = ([], [])
     for slot in slots:
@@ -213,7 +241,7 @@ def _park_cars(
                     point, along = point_and_direction(line, along_m)
                     x, y = point.tolist()
                     cars.append(_draw_car(Slot(x, y, _heading(along), 1.0), rng))
-                    along_m += 9.0 + rng.exponential(70.0)
+                    along_m += 9.0 + rng.exponential(every_m)
     return _apart(views[0]), _apart(views[1])
 
 

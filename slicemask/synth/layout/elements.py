@@ -31,16 +31,29 @@ class Kind(IntEnum):
     PAINT = 8
     GLASS = 9
     WATER = 10
+    GRAVEL = 11
+    CONCRETE = 12
+    SOIL = 13
+    CROP = 14
+    MEADOW = 15
+    LITTER = 16
+    TAR = 17
+    DIRT = 18
+    FOLIAGE = 19
 
 
 @dataclass(frozen=True)
 class Area:
-    """A piece of ground whose top lies at `top_m`, with sides down to the street."""
+    """A piece of ground whose top lies at `top_m`, with sides down to the street.
+
+    Patterns that have a direction, such as rows of crops, run at `angle_deg`.
+    """
 
     polygon: Polygon
     kind: Kind
     colour: Colour
     top_m: float
+    angle_deg: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +103,11 @@ class Building:
 
 @dataclass(frozen=True)
 class Tree:
-    """A tree: its trunk's place, its height and the radius of its crown."""
+    """A tree: its trunk's place, its height and the radius of its crown.
+
+    A species is one of `slicemask.synth.render.foliage.SPECIES`, whose crowns are made of leaves;
+    without one, crowns are lumps.
+    """
 
     x: float
     y: float
@@ -98,6 +115,7 @@ class Tree:
     radius_m: float
     conifer: bool
     colour: Colour
+    species: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,6 +148,15 @@ class Landmark:
     shape: str  # "column", "dome", "pylon" or "kiosk"
     height_m: float
     radius_m: float
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """What stands around a place, far off: heights at even azimuths from north, at a radius."""
+
+    radius_m: float
+    heights_m: tuple[float, ...]
     colour: Colour
 
 

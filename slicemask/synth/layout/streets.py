@@ -86,11 +86,12 @@ class Street:
     line: LineString
     lanes: int
     parking: bool
+    lane_m: float = LANE_M
 
     @property
     def width_m(self) -> float:
         """Width of the carriageway from kerb to kerb."""
-        return self.lanes * LANE_M + (2 * PARKING_M if self.parking else 0.0) + 0.4
+        return self.lanes * self.lane_m + (2 * PARKING_M if self.parking else 0.0) + 0.4
 
     @property
     def carriageway(self) -> BaseGeometry:
@@ -104,7 +105,7 @@ class Street:
         """
         half = self.lanes // 2
         forward = lane < half
-        offset_m = (lane % half + 0.5) * LANE_M
+        offset_m = (lane % half + 0.5) * self.lane_m
         line = beside(self.line, -offset_m if forward else offset_m)
         return line if forward else line.reverse()
 

@@ -39,10 +39,26 @@ class Panorama:
         Metres.
     shape : (rows, columns)
         Rows go from the zenith to the nadir.
+    pitch_deg, roll_deg
+        By which the camera is not level: up to the north, and down to the east.
     """
 
     position: tuple[float, float, float]
     shape: tuple[int, int]
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+
+    @property
+    def _tilt(self) -> Floats | None:
+        """The matrix from the camera's frame to the world's, float64 [3, 3]; None if level."""
+        if not (self.pitch_deg or self.roll_deg):
+            return None
+        pitch, roll = np.radians([self.pitch_deg, self.roll_deg])
+        c, s = np.cos(pitch), np.sin(pitch)
+        about_east = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+        c, s = np.cos(roll), np.sin(roll)
+        about_north = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        return np.asarray(about_east @ about_north)
 
     def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
         """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
@@ -51,6 +67,8 @@ class Panorama:
         level = np.cos(elevation)
         directions = [level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)]
         rays = np.stack(directions, axis=-1)
+        if self._tilt is not None:
+            rays = rays @ self._tilt.T
         return np.broadcast_to(np.array(self.position), rays.shape), rays
 
     def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -59,7 +77,10 @@ class Panorama:
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Rows and columns [n] where points [n, 3] show."""
-        x, y, z = (np.asarray(points) - self.position).T
+        offset = np.asarray(points) - self.position
+        if self._tilt is not None:
+            offset = offset @ self._tilt
+        x, y, z = offset.T
         column = (np.arctan2(x, y) / (2 * np.pi) + 0.5) * self.shape[1]
         row = (0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * self.shape[0]
         return row, column
@@ -123,7 +144,7 @@ class Pinhole:
 
 @dataclass(frozen=True)
 class Aerial:
-    """An orthographic camera that looks straight down, north up.
+    """An orthographic camera that looks down, north up.
 
     Parameters
     ----------
@@ -132,11 +153,15 @@ class Aerial:
     metres_per_pixel
         Size of a pixel on the ground.
     shape : (rows, columns)
+    lean : (east, north)
+        Metres by which a point shows away from its place for each metre of its height; (0, 0) for
+        a camera that looks straight down. The ground at height 0 shows where it is.
     """
 
     north_west: tuple[float, float]
     metres_per_pixel: float
     shape: tuple[int, int]
+    lean: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def centred(cls, x: float, y: float, metres_per_pixel: float, pixels: int) -> "Aerial":
@@ -148,8 +173,10 @@ class Aerial:
         """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
         x = self.north_west[0] + np.asarray(column) * self.metres_per_pixel
         y = self.north_west[1] - np.asarray(row) * self.metres_per_pixel
-        origins = np.stack([x, y, np.full_like(x, SKY_M)], axis=-1)
-        return origins, np.broadcast_to(np.array([0.0, 0.0, -1.0]), origins.shape)
+        east, north = self.lean
+        origins = np.stack([x - east * SKY_M, y - north * SKY_M, np.full_like(x, SKY_M)], axis=-1)
+        down = np.array([east, north, -1.0]) / np.sqrt(1.0 + east**2 + north**2)
+        return origins, np.broadcast_to(down, origins.shape)
 
     def footprint_m(self, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Width of a pixel across the ray at a distance, metres."""
@@ -158,5 +185,8 @@ class Aerial:
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Rows and columns [n] where points [n, 3] (or [n, 2]) show."""
         points = np.asarray(points)
-        column = (points[..., 0] - self.north_west[0]) / self.metres_per_pixel
-        return (self.north_west[1] - points[..., 1]) / self.metres_per_pixel, column
+        x, y = points[..., 0], points[..., 1]
+        if points.shape[-1] == 3:
+            x, y = x + self.lean[0] * points[..., 2], y + self.lean[1] * points[..., 2]
+        column = (x - self.north_west[0]) / self.metres_per_pixel
+        return (self.north_west[1] - y) / self.metres_per_pixel, column

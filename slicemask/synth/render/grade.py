@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slicemask.synth.render.materials import Floats, as_float32
+from slicemask.synth.render.patterns import Floats, as_float32
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slicemask.synth.render.materials import Floats, as_float32, noise
+from slicemask.synth.render.patterns import Floats, as_float32, noise
 
 
 @dataclass(frozen=True)

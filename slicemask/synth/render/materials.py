@@ -4,20 +4,13 @@ A pattern that is finer than a pixel fades into its mean, so that pictures of an
 moire: stripes and windows are averaged over the pixel in closed form, noise is left out.
 """
 
-from functools import cache
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from slicemask.synth.layout.elements import Kind
+from slicemask.synth.render.grounds import GROUNDS
+from slicemask.synth.render.patterns import Floats, as_float32, noise, pulse
 from slicemask.synth.render.scene import Scene
-
-Floats = NDArray[np.float32]
-
-
-def as_float32(values: ArrayLike) -> Floats:
-    """An array of float32, in which all shading is done."""
-    return np.asarray(values, dtype=np.float32)
 
 
 def albedo(scene: Scene, face: NDArray[np.int32], point: Floats, footprint_m: Floats) -> Floats:
@@ -44,6 +37,7 @@ def albedo(scene: Scene, face: NDArray[np.int32], point: Floats, footprint_m: Fl
         Kind.ROOF: _roof,
         Kind.TILES: _tiles,
         Kind.LEAVES: _leaves,
+        Kind.FOLIAGE: _foliage,
         Kind.WATER: _water,
     }
     for number in np.unique(kind):
@@ -52,43 +46,13 @@ def albedo(scene: Scene, face: NDArray[np.int32], point: Floats, footprint_m: Fl
             colour[chosen] = _wall(
                 scene, face[chosen], surface[chosen], point[chosen], footprint_m[chosen]
             )
+        elif number in GROUNDS:
+            angle_deg = scene.surfaces.facade[surface[chosen], 0]
+            colour[chosen] *= GROUNDS[Kind(number)](point[chosen], footprint_m[chosen], angle_deg)
         elif number in textures:
             brightness = textures[Kind(number)](point[chosen], footprint_m[chosen])
             colour[chosen] *= brightness if brightness.ndim == 2 else brightness[:, None]
     return colour
-
-
-@cache
-def _lattice() -> Floats:
-    return np.random.default_rng(20230101).uniform(-1, 1, (256, 256)).astype(np.float32)
-
-
-def noise(x: Floats, y: Floats, wavelength_m: float, footprint_m: Floats) -> Floats:
-    """Smooth noise in [-1, 1] of a wavelength; it fades where pixels are wider than that."""
-    table = _lattice()
-    x, y = x / wavelength_m, y / wavelength_m
-    column, row = np.floor(x), np.floor(y)
-    fx, fy = x - column, y - row
-    i, j = row.astype(np.int32) & 255, column.astype(np.int32) & 255
-    i1, j1 = (i + 1) & 255, (j + 1) & 255
-    fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
-    a, b = table[i, j], table[i1, j]
-    top = a + (table[i, j1] - a) * fx
-    bottom = b + (table[i1, j1] - b) * fx
-    fade = np.clip(1.5 - footprint_m / wavelength_m, 0, 1)
-    return as_float32((top + (bottom - top) * fy) * fade)
-
-
-def pulse(x: Floats, period: Floats | float, duty: Floats | float, width: Floats) -> Floats:
-    """Fraction of [x - width/2, x + width/2] in stripes that fill [0, duty) of each period."""
-    half = np.maximum(width / period, 1e-3) / 2
-
-    def filled(y: Floats) -> Floats:
-        whole = np.floor(y)
-        return as_float32(whole * duty + np.minimum(y - whole, duty))
-
-    x = as_float32(x / period)
-    return as_float32((filled(as_float32(x + half)) - filled(as_float32(x - half))) / (2 * half))
 
 
 def _plain(point: Floats, footprint: Floats) -> Floats:
@@ -154,6 +118,12 @@ def _leaves(point: Floats, footprint: Floats) -> Floats:
         for a, b in ((x, y), (y + 50, z), (z + 90, x)):
             light += 0.6 * strength * noise(a, b, wavelength, footprint)
     return as_float32(np.clip(light, 0.25, 1.8))
+
+
+def _foliage(point: Floats, footprint: Floats) -> Floats:
+    x, y, z = point.T
+    tufts = noise(x + z, y - z, 0.9, footprint) + noise(x - z, y + z, 0.25, footprint)
+    return as_float32(1.0 + 0.22 * tufts)
 
 
 def _water(point: Floats, footprint: Floats) -> Floats:

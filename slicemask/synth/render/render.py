@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from slicemask.synth.layout.elements import Kind
 from slicemask.synth.render.cameras import Camera
 from slicemask.synth.render.light import Light
-from slicemask.synth.render.materials import Floats, albedo, as_float32
+from slicemask.synth.render.materials import albedo
+from slicemask.synth.render.patterns import Floats, as_float32
 from slicemask.synth.render.scene import Scene
 
 # Rays that are shaded at once: as many as stay in the processor's cache.
@@ -93,16 +94,21 @@ def _shade(
     leaves = scene.surfaces.kind[surface[met]] == Kind.LEAVES
     # Light goes some way round and through a crown.
     slope = np.where(leaves, 0.35 + 0.65 * slope, slope)
+    # A single leaf shines on both sides.
+    single = scene.surfaces.kind[surface[met]] == Kind.FOLIAGE
+    slope = np.where(single, 0.25 + 0.65 * np.abs(slope), slope)
     lit = (slope > 0) & (light.sun > 0.02)
     shine = np.zeros(len(met), dtype=np.float32)
     start = point[lit] + normal[lit] * 0.03
     start += sun * np.where(leaves[lit], 0.25, 0)[:, None]
     free = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
-    shine[lit] = slope[lit] * free * light.sun
+    # Some light comes through leaves, whichever are in its way.
+    shine[lit] = slope[lit] * np.where(single[lit], 0.25 + 0.75 * free, free) * light.sun
     # The sky lights what looks up most; walls and crowns are darker near the ground.
     sky = light.ambient * (0.72 + 0.28 * normal[:, 2])
     upright = np.abs(normal[:, 2]) < 0.7
     sky = sky * np.where(upright, 0.85 + 0.15 * np.clip(point[:, 2] / 4.0, 0, 1), 1.0)
+    sky = np.where(single, light.ambient * 0.85, sky)
     tint = sky[:, None] * as_float32([0.95, 1.0, 1.06]) + shine[:, None] * as_float32(
         [1.06, 1.0, 0.9]
     )

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from slicemask.synth.layout.city import City
 from slicemask.synth.layout.elements import (
     CAR_BODIES,
+    Backdrop,
     Building,
     Car,
     Colour,
@@ -24,10 +25,12 @@ from slicemask.synth.layout.elements import (
     Tree,
 )
 from slicemask.synth.render import meshes
+from slicemask.synth.render.foliage import foliage
 
 View = Literal["ground", "aerial"]
 # Numbers that describe a facade: pitch, storey, width, height, shops, bricks, top.
 FACADE_NUMBERS = 7
+NEAR_M = 16.0  # from a street, within which trees have finer leaves
 FIELD_M = 1500.0  # of fields around the city
 DARK: Colour = (0.06, 0.06, 0.065)
 
@@ -43,7 +46,8 @@ class Surfaces:
     colour, window, shop : float32 [S, 3]
         The surface's colour; of walls also that of the glass and of the band above shops.
     facade : float32 [S, 7]
-        Of walls: pitch_m, storey_m, width, height, shops, bricks, and the wall's top in metres.
+        Of walls: pitch_m, storey_m, width, height, shops, bricks, and the wall's top in metres; of
+        grounds: the angle of their pattern in degrees, and zeros.
     """
 
     kind: NDArray[np.uint8]
@@ -145,10 +149,12 @@ class SceneBuilder:
         kinds: Sequence[Kind] | NDArray[np.uint8],
         colours: Sequence[Colour],
         facades: Sequence[tuple[Facade, float]] | None = None,
+        angles_deg: Sequence[float] | None = None,
     ) -> None:
         """Add triangles [T, 3, 3] whose `owner` [T] says which of the given surfaces is theirs.
 
-        Walls come with a facade and the height of their top each.
+        Walls come with a facade and the height of their top each, grounds with the angle of their
+        pattern.
         """
         surfaces = len(colours)
         triple = np.zeros((surfaces, 3, 3), dtype=np.float32)
@@ -165,6 +171,8 @@ class SceneBuilder:
                 look.bricks,
                 top,
             )
+        if angles_deg is not None:
+            numbers[:, 0] = angles_deg
         self._soups.append(soup)
         self._owners.append(np.asarray(owner) + self._count)
         self._kinds.append(np.asarray(kinds, dtype=np.uint8))
@@ -202,12 +210,26 @@ def build_scene(city: City, view: View) -> Scene:
     for building in city.buildings:
         _add_roof(builder, building)
     _add_walls(builder, city.buildings)
-    _add_trees(builder, city.trees)
+    _add_trees(builder, [tree for tree in city.trees if not tree.species])
+    leafy = [tree for tree in city.trees if tree.species]
+    for part in foliage(leafy, _near_streets(city, leafy)):
+        builder.add(*part)
     _add_lamps(builder, city.lamps)
+    for backdrop in city.backdrops:
+        _add_backdrop(builder, backdrop)
     for landmark in city.landmarks:
         add_landmark(builder, landmark)
     _add_cars(builder, city.cars_ground if view == "ground" else city.cars_aerial)
     return builder.build()
+
+
+def _near_streets(city: City, trees: Sequence[Tree]) -> NDArray[np.bool_]:
+    """Whether trees stand so near to a street that their leaves show, bool [n]."""
+    near = np.zeros(len(trees), dtype=bool)
+    points = shapely.points([(tree.x, tree.y) for tree in trees] or np.empty((0, 2)))
+    lines = shapely.STRtree([street.line for street in city.streets])
+    near[lines.query(points, predicate="dwithin", distance=NEAR_M)[0]] = True
+    return near
 
 
 def _flat(x0: float, y0: float, x1: float, y1: float, z: float) -> meshes.Soup:
@@ -216,7 +238,7 @@ def _flat(x0: float, y0: float, x1: float, y1: float, z: float) -> meshes.Soup:
 
 
 def _add_base(builder: SceneBuilder, city: City) -> None:
-    """The asphalt that all else lies on, and fields around it."""
+    """The base that all else lies on, asphalt by default, and fields around it."""
     e = city.half_extent_m
     soup = np.concatenate(
         [_flat(-e, -e, e, e, 0.0), _flat(-FIELD_M, -FIELD_M, FIELD_M, FIELD_M, -0.3)]
@@ -224,8 +246,8 @@ def _add_base(builder: SceneBuilder, city: City) -> None:
     builder.add(
         soup,
         np.array([0, 0, 1, 1]),
-        (Kind.ASPHALT, Kind.GRASS),
-        ((0.30, 0.30, 0.31), city.style.grass),
+        (city.base[0], Kind.GRASS),
+        (city.base[1], city.style.grass),
     )
 
 
@@ -237,7 +259,11 @@ def _add_areas(builder: SceneBuilder, city: City) -> None:
     top = np.array([area.top_m for area in city.areas])
     soup, owner, _ = meshes.prisms(polygons, 0.0, top)
     builder.add(
-        soup, owner, [area.kind for area in city.areas], [area.colour for area in city.areas]
+        soup,
+        owner,
+        [area.kind for area in city.areas],
+        [area.colour for area in city.areas],
+        angles_deg=[area.angle_deg for area in city.areas],
     )
 
 
@@ -345,6 +371,23 @@ def _add_trees(builder: SceneBuilder, trees: Sequence[Tree]) -> None:
         builder.add(
             trunks, np.zeros(len(trunks), dtype=np.intp), (Kind.PLAIN,), ((0.28, 0.22, 0.17),)
         )
+
+
+def _add_backdrop(builder: SceneBuilder, backdrop: Backdrop) -> None:
+    """A curtain around the place."""
+    heights = np.asarray(backdrop.heights_m)
+    angle = np.linspace(0, 2 * np.pi, len(heights), endpoint=False)
+    ring = np.stack([np.sin(angle), np.cos(angle)], axis=1) * backdrop.radius_m
+    low = np.column_stack([ring, np.full(len(ring), -1.0)])
+    high = np.column_stack([ring, heights - 0.9])
+    after = np.roll(np.arange(len(ring)), -1)
+    soup = np.concatenate(
+        [
+            np.stack([low, low[after], high[after]], axis=1),
+            np.stack([low, high[after], high], axis=1),
+        ]
+    )
+    builder.add(soup, np.zeros(len(soup), dtype=np.intp), (Kind.LEAVES,), (backdrop.colour,))
 
 
 def _add_lamps(builder: SceneBuilder, lamps: Sequence[tuple[float, float, float]]) -> None:

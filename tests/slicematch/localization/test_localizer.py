@@ -31,6 +31,16 @@ def test_an_unrefined_estimate_is_the_best_candidate(localizer, images):
     assert -1 <= estimate.scores.min() < estimate.score <= 1
 
 
+def test_a_pair_scorer_scores_as_the_answer_is_scored(localizer, images):
+    ground, tile = images
+    estimate = localizer.localize(ground, tile, refine="none")
+    encoded = localizer.encode_aerial(tile)
+    scorer = localizer.pair_scorer(localizer.encode_ground(ground), encoded)
+    contributions = scorer.contributions(torch.from_numpy(estimate.pose[None]))
+    assert contributions.shape == (1, 4, 1)
+    assert contributions.sum().item() == pytest.approx(estimate.score, abs=1e-5)
+
+
 def test_it_scores_as_the_model_does_on_the_data_sets_samples(localizer, run, images):
     from dataclasses import replace
 

@@ -63,3 +63,25 @@ def test_a_sliver_counts_as_much_off_the_grid_as_on_it():
     expected = score_masks(ground, features, attention, masks[None])[0]
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
     assert abs(found.item()) > 1e-3
+
+
+def test_contributions_are_those_of_each_part_alone():
+    frustum = Frustum(360, 4, bands=(0.1, 0.3))
+    generator = torch.Generator().manual_seed(0)
+    ground = unit(torch.randn(12, 7, generator=generator))
+    features = torch.randn(7, 6, 6, generator=generator)
+    attention = torch.rand(12, 6, 6, generator=generator)
+    scorer = PairScorer(ground, features, attention, frustum)
+    poses = torch.tensor([[0.3, 0.4, 10.0], [1.0, 1.0, 135.0]], dtype=torch.float64)
+    found = scorer.contributions(poses)
+    assert found.shape == (2, 4, 3)
+    torch.testing.assert_close(found.sum(dim=(1, 2)), scorer(poses))
+    # Without the ground descriptors of the others, a part's contribution is the whole score.
+    for part, (n, b) in enumerate(np.ndindex(4, 3)):
+        alone = torch.zeros_like(ground)
+        alone[part] = ground[part]
+        only = PairScorer(alone, features, attention, frustum).contributions(poses)
+        # The score is over the length of all ground descriptors, here of 12 unit vectors or one.
+        expected = only[:, n, b] / 12**0.5
+        torch.testing.assert_close(found[:, n, b], expected, rtol=1e-5, atol=1e-7)
+        assert (only.flatten(1).count_nonzero(dim=1) <= 1).all()

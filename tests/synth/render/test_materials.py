@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from slicemask.synth.layout.elements import Building, Facade
 from slicemask.synth.render import meshes
-from slicemask.synth.render.materials import noise, pulse
+from slicemask.synth.render.patterns import noise, pulse
 
 
 @given(

@@ -1,0 +1,53 @@
+"""The command that serves a page: app."""
+
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+
+@click.command()
+@click.argument("run", required=False)
+@click.option("--data", metavar="DIR", help="RUN: data tree of the examples.  [default: the run's]")
+@click.option("--address", default="127.0.0.1", show_default=True, help="Where to listen.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=5006, show_default=True, help="0: any free."
+)
+@click.option(
+    "--origin",
+    "origins",
+    multiple=True,
+    metavar="HOST:PORT",
+    help="Another name under which browsers reach the page.",
+)
+@click.option("--browser/--no-browser", "show", default=True, help="Open the page.  [default: yes]")
+def app(run: str | None, data: str | None, **options: Any) -> None:
+    """Serve a page to look at: slices, or answers of a trained RUN."""
+    if importlib.util.find_spec("panel") is None:
+        raise click.ClickException(
+            "this command needs panel; install: pip install 'slicemask[app]'"
+        )
+    if run is None and data is not None:
+        raise click.UsageError("--data names examples for a RUN; give one.")
+    from slicemask.app.serve import serve
+
+    make_page = _explorer() if run is None else _finder(run, data)
+    serve(make_page, ready=lambda url: click.echo(f"{url} (Ctrl-C ends it)"), **options)
+
+
+def _explorer() -> Callable[[], Any]:
+    from slicemask.app.explorer import Explorer
+
+    return lambda: Explorer().page()
+
+
+def _finder(run: str, data: str | None) -> Callable[[], Any]:
+    from slicemask.cli.output import status_line
+    from slicemask.cli.run_options import check_model_installed
+
+    check_model_installed()
+    with status_line("loading the run"):
+        from slicematch.app.finder import finder_pages
+
+        return finder_pages(run, data)

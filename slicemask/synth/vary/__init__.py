@@ -1,0 +1,1 @@
+"""Domain randomisation: switches that widen what a generated city may look like."""
