@@ -90,7 +90,7 @@ def locate(
 @shared_option
 @as_json_option
 def tiles(table: str, aerial_map: str, out: str, as_json: bool, **options: Any) -> None:
-    """Cut the aerial tiles of a TABLE from a map, to train on."""
+    """Cut the aerial tiles of a TABLE of photographs from a map."""
     check_model_installed()
     from slicematch.data.cut_tiles import cut_tiles
 
