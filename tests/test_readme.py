@@ -178,7 +178,8 @@ def options():
     }
     torchrun = {"--nnodes", "--nproc-per-node", "--rdzv-backend", "--rdzv-endpoint"}
     srun = {"--nodes", "--ntasks-per-node"}
-    return found | torchrun | srun | {"--help", "--logdir"}
+    benchmarks = {"--prior"}
+    return found | torchrun | srun | benchmarks | {"--help", "--logdir"}
 
 
 @pytest.mark.parametrize("page", PAGES + SCRIPTS, ids=lambda page: page.name)
