@@ -93,7 +93,7 @@ def test_a_run_on_kitti_keeps_the_camera_of_its_calibration(make_kitti_tree, cac
     within = np.isfinite(found.scores)  # the heading prior leaves out the others
     assert within.any()
     assert np.array_equal(within, np.isfinite(again.scores))
-    assert np.abs(again.scores - found.scores)[within].max() < 0.1
+    assert np.abs(again.scores[within] - found.scores[within]).max() < 0.1
 
 
 def test_a_kitti_run_of_before_has_a_centred_camera(make_kitti_tree, tmp_path):
