@@ -64,7 +64,7 @@ def test_calibration_gives_the_cameras_field_of_view(kitti_tree):
     frustum, horizon = read_calibration(path)
     assert frustum.hfov_deg == pytest.approx(2 * np.degrees(np.arctan(621 / 721.5377)))
     assert frustum.left_deg is None
-    assert horizon == pytest.approx(0.5)
+    assert horizon == pytest.approx(kitti.HORIZON_ROW / 375, abs=1e-5)
 
 
 @pytest.mark.parametrize(("split", "test"), [("same-area", "test1"), ("cross-area", "test2")])
