@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import torch
 from slicematch.network.aggregation import unit
 from slicematch.network.slicematch import SliceMatch
@@ -106,6 +107,9 @@ def _csr_rows(bank: Path, at_once: int = 2048) -> list[Tensor]:
     """All distinct masks of a bank, as torch CSR matrices of so many rows, 32-bit indices."""
     with open_bank(bank) as opened:
         csr = opened.csr()
+    # Means instead of sums: of a hair of a cell, too, the descriptor is longer than its epsilon.
+    areas = np.add.reduceat(np.append(csr.data, np.float32(0)), csr.indptr[:-1])
+    csr.data /= np.repeat(areas, np.diff(csr.indptr))
     return [
         torch.sparse_csr_tensor(
             torch.from_numpy(some.indptr),
@@ -126,7 +130,7 @@ def _csr_scores(
     for n in range(SLICES):
         attended = (features * attention[:, n, None]).flatten(2)[0].T.contiguous()
         descriptors = [unit(some @ attended) for some in rows]
-        at = candidates.index[:, n]
+        at = candidates.index[:, n, 0]  # no bands
         dots += torch.cat([some @ ground[0, n] for some in descriptors])[at]
         there += torch.cat([some.any(dim=-1) for some in descriptors])[at]
     return dots / (there.sqrt() * ground.square().sum().sqrt()).clamp(min=1e-30)

@@ -1,9 +1,8 @@
 """How the run that ships was trained: generated places alone, on a processor.
 
 ``python -m benchmarks.ship`` generates places of great variety, trains a small pretrained encoder
-on them in two stages, each on places of its own, and packs the result. What is there already is
-not done again, and a stage that was cut short goes on, so it may take several sittings. Processor
-time is printed at the end of each step.
+on them, and packs the result. What is there already is not done again, and a training that was cut
+short goes on, so it may take several sittings. Processor time is printed at the end of each step.
 """
 
 import os
@@ -15,18 +14,14 @@ from pathlib import Path
 
 import click
 
-# Places of the stages: how many panoramas, of how many layouts, from which seed.
-STAGES = (
-    {"panoramas": "1500", "places": "30", "seed": "23", "epochs": "11", "rate": "5e-4"},
-    {"panoramas": "1200", "places": "40", "seed": "77", "epochs": "9", "rate": "4e-4"},
-)
 CITY = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
-    "--vary", "all",
+    "--vary", "all", "--panoramas", "1500", "--places", "30", "--seed", "23",
 )  # fmt: skip
 TRAINING = (
     "--data", "vigor", "--split", "cross-area", "--cities", "NewYork,SanFrancisco",
-    "--batch-size", "4", "--schedule", "one-cycle", "--augment", "--validation-fraction", "0.05",
+    "--epochs", "11", "--learning-rate", "5e-4", "--batch-size", "4", "--schedule", "one-cycle",
+    "--augment", "--validation-fraction", "0.05",
     "--test-grid", "14x14x32", "--heat-map-every", "0", "--workers", "1", "--accelerator", "cpu",
     "--precision", "bf16-mixed", "--seed", "0",
 )  # fmt: skip
@@ -45,21 +40,10 @@ GRID = "21x21x64"
 @click.option("--out", default="runs/ship/generated-city", show_default=True, help="Packed run.")
 def main(work: str, out: str) -> None:
     """Generate, train and pack the run that ships."""
-    folder, start = Path(work), list(NETWORK)
-    run = folder
-    for number, stage in enumerate(STAGES):
-        data, run = folder / f"places{number}", folder / f"stage{number}"
-        _slicemask(
-            "synth", *CITY, "--panoramas", stage["panoramas"], "--places", stage["places"],
-            "--seed", stage["seed"], "--out", str(data),
-        )  # fmt: skip
-        if not (run / "calibration.json").exists():
-            _slicemask(
-                "train", *TRAINING, *start, "--epochs", stage["epochs"],
-                "--learning-rate", stage["rate"], "--root", str(data), "--out", str(run),
-                "--resume",
-            )  # fmt: skip
-        start = ["--init", str(run)]
+    data, run = Path(work) / "places", Path(work) / "run"
+    _slicemask("synth", *CITY, "--out", str(data))
+    if not (run / "calibration.json").exists():
+        _slicemask("train", *TRAINING, *NETWORK, "--root", str(data), "--out", str(run), "--resume")
     _slicemask("calibrate", str(run), "--grid", GRID, "--checkpoint", "last")
     shutil.rmtree(out, ignore_errors=True)
     _slicemask("pack", str(run), "--checkpoint", "last", "--grid", GRID, "--out", out)

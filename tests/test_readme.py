@@ -176,7 +176,10 @@ def options():
         for param in command.params
         for option in (*param.opts, *param.secondary_opts)
     }
-    return found | {"--help", "--logdir"}
+    torchrun = {"--nnodes", "--nproc-per-node", "--rdzv-backend", "--rdzv-endpoint"}
+    srun = {"--nodes", "--ntasks-per-node"}
+    benchmarks = {"--prior"}
+    return found | torchrun | srun | benchmarks | {"--help", "--logdir"}
 
 
 @pytest.mark.parametrize("page", PAGES + SCRIPTS, ids=lambda page: page.name)

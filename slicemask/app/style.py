@@ -13,7 +13,5 @@ CHOICE: dict[str, Any] = {
 }
 DOWNLOAD: dict[str, Any] = {
     "button_type": "primary",
-    "stylesheets": [
-        f".bk-btn {{ border: 1px solid {_LINE}; border-radius: 4px; padding: 6px 0; }}"
-    ],
+    "stylesheets": [f".bk-btn {{ border: 1px solid {_LINE} !important; border-radius: 4px; }}"],
 }

@@ -19,9 +19,9 @@ from slicemask.cli.run_options import (
 @grid_option
 @as_json_option
 def pack(run: str, out: str, checkpoint: str, grid: str | None, as_json: bool) -> None:
-    """Write what predicting with a trained RUN takes: settings, weights, temperature.
+    """Pack what predicting with a trained RUN takes into a folder.
 
-    Weights are kept in half precision. All commands that only read a run take the folder.
+    Settings, temperature, and weights in half precision. All commands that only read a run take it.
     """
     check_model_installed()
     from slicematch.runs.packed import pack as pack_run

@@ -86,5 +86,10 @@ def _without_paths(config: TrainConfig) -> TrainConfig:
         name: Path(value).name if name.endswith("_dir") and value else value
         for name, value in config.data_settings.items()
     }
-    root, weights = (Path(path).name for path in (config.root, config.weights))
-    return replace(config, root=root, weights=weights, data_settings=own)
+    return replace(
+        config,
+        root=Path(config.root).name,
+        weights=Path(config.weights).name,
+        init=None if config.init is None else Path(config.init).name,
+        data_settings=own,
+    )

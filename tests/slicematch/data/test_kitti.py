@@ -298,7 +298,7 @@ def test_field_of_view_of_a_tree(make_kitti_tree, tmp_path):
         write_calib(tree.root, day, f"P_rect_02: {focal} 0 {cx} 0 0 {focal} {cy} 0 0 0 1 0\n")
     # The median of the days, whatever the part.
     left_deg = np.degrees(np.arctan(-600 / 700))
-    right_deg = np.degrees(np.arctan((1242 - 609.5593) / 721.5377))
+    right_deg = np.degrees(np.arctan((1242 - 615) / 710))
     for part in ("train", "test"):
         dataset = open_kitti(tree.root, part)
         assert dataset.left_deg == pytest.approx(left_deg)
@@ -321,9 +321,10 @@ def test_elevations_are_those_about_the_principal_point(make_kitti_tree, tmp_pat
     rows = np.arange(375) < 172.854
     Image.fromarray(np.repeat(np.where(rows, 255, 0)[:, None], 1242, 1).astype("u1")).save(path)
     ground = denormalise(open_kitti(tmp_path, elevations=(-10, 10))[0]["ground"])
-    assert ground[:16].min() == 255
+    assert ground[:15].min() == 255
     assert ground[17:].max() == 0
-    assert 100 < ground[16].mean() < 255 or 0 <= ground[16].mean() < 100
+    # About half the height, the horizon would be at 0.44 of the part that is taken.
+    assert ground.mean() / 255 == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def test_a_bank_of_ones_own(run, cache, images, tmp_path):
 def test_pictures_that_are_invalid(localizer, images):
     with pytest.raises(ImageError, match="an aerial tile must be square"):
         localizer.localize(images[0], images[0])
-    with pytest.raises(ImageError, match="must be 2 times as wide as high"):
+    with pytest.raises(ImageError, match="must be at least 2 times as wide as high"):
         localizer.localize(images[1], images[1])
     with pytest.raises(ImageError, match="nowhere"):
         localizer.localize("nowhere.jpg", images[1])

@@ -11,8 +11,8 @@ from slicematch.data.kitti import (
     METRES_PER_PIXEL,
     KittiConfig,
     cut_tile,
+    read_calibration,
     read_heading,
-    read_hfov_deg,
 )
 
 from slicemask.errors import SynthError
@@ -61,7 +61,10 @@ def test_files_are_where_kitti_has_them(kitti_tree):
 
 def test_calibration_gives_the_cameras_field_of_view(kitti_tree):
     path = kitti_tree / "raw_data" / "2011_09_26" / "calib_cam_to_cam.txt"
-    assert read_hfov_deg(path) == pytest.approx(2 * np.degrees(np.arctan(621 / 721.5377)))
+    frustum, horizon = read_calibration(path)
+    assert frustum.hfov_deg == pytest.approx(2 * np.degrees(np.arctan(621 / 721.5377)))
+    assert frustum.left_deg is None
+    assert horizon == pytest.approx(kitti.HORIZON_ROW / 375, abs=1e-5)
 
 
 @pytest.mark.parametrize(("split", "test"), [("same-area", "test1"), ("cross-area", "test2")])

@@ -1,0 +1,65 @@
+"""The run that comes with the package."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from slicematch import Localizer, evaluate
+from slicematch.runs.folder import RunFolder
+from slicematch.runs.shipped import find_run, shipped_runs
+
+RUN = "generated-city"
+PAIRS = Path(__file__).parents[4] / "shared" / "data" / "real_pairs"
+
+
+@pytest.fixture(scope="module")
+def localizer(tmp_path_factory):
+    return Localizer.load(RUN, cache=tmp_path_factory.mktemp("banks"), device="cpu", grid="9x9x32")
+
+
+def test_it_is_small_and_complete():
+    assert RUN in shipped_runs()
+    files = {path.name: path.stat().st_size for path in find_run(RUN).iterdir()}
+    assert files.keys() == {"README.md", "calibration.json", "config.yaml", "weights.safetensors"}
+    assert sum(files.values()) < 10e6
+    config = RunFolder(find_run(RUN)).load_config()
+    assert "/" not in config.root
+    assert config.bands == (6.0, 12.0, 24.0)
+
+
+def test_its_probabilities_are_calibrated_on_its_own_grid():
+    run = RunFolder(find_run(RUN))
+    config = run.load_config()
+    fitted = run.load_calibration(config)
+    assert fitted is not None
+    assert fitted.matches(config.grid("test_grid"), "best")
+
+
+def test_it_finds_cameras_in_a_generated_city(tmp_path):
+    """A city that it was not trained on: most answers have the right heading."""
+    pytest.importorskip("embreex")
+    from slicemask.synth import generate_vigor
+
+    city = tmp_path / "city"
+    generate_vigor(
+        city, cities=2, panoramas=8, seed=1234, panorama_size=(512, 256), tile_size=320, jobs=1
+    )
+    done, _ = evaluate(
+        RUN, grid="9x9x32", root=str(city), out=tmp_path / "results", workers=0, device="cpu"
+    )
+    assert len(done.errors.heading_deg) == 8
+    assert np.median(done.errors.heading_deg) < 20.0
+
+
+@pytest.mark.skipif(not PAIRS.is_dir(), reason="the real pairs are not here")
+def test_it_finds_a_real_camera(localizer):
+    """A gravel road between mobile homes; the picture is a part of the sphere."""
+    band = Image.open(PAIRS / "rural2_ground.jpg")
+    sphere = Image.new("RGB", (1232, 616))
+    sphere.paste(band, (0, 173))
+    tile = Image.open(PAIRS / "rural2_aerial.jpg")
+    tile = tile.crop((218, 218, 532, 532))  # 72 m around the camera
+    estimate = localizer.localize(sphere, tile, metres_per_pixel=0.23)
+    assert estimate.probabilities.sum() == pytest.approx(1.0, abs=1e-4)
+    assert min(estimate.pose[2], 360.0 - estimate.pose[2]) < 20.0
