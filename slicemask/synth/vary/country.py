@@ -24,7 +24,7 @@ from slicemask.synth.vary.farms import build_farm
 from slicemask.synth.vary.horizon import draw_horizon
 from slicemask.synth.vary.junctions import build_island, draw_roundabouts, without_cars_on
 from slicemask.synth.vary.roads import ANY, Paint, draw_pavement, paint_roads, patches
-from slicemask.synth.vary.suburbs import add_trees, keep_clear, ring_of_trees
+from slicemask.synth.vary.suburbs import add_trees, city_of, keep_clear, ring_of_trees
 from slicemask.synth.vary.switches import Variation
 from slicemask.synth.vary.trees import Flora
 
@@ -135,21 +135,10 @@ def lay_out_country(seed: tuple[int, ...], half_extent_m: float, variation: Vari
     ring_of_trees(half_extent_m, flora, plan, tree_rng)
     keep_clear(plan, streets)
     plan.trees += [tree for _, plants in islands for tree in plants]
-    cars_aerial, cars_ground = park_cars(plan.slots, streets, car_rng, 400.0)
-    city = City(
-        half_extent_m=half_extent_m,
-        style=style,
-        streets=tuple(streets),
-        areas=tuple(area for area in plan.areas if area.polygon.area > 1e-3),
-        buildings=tuple(plan.buildings),
-        trees=tuple(plan.trees),
-        landmarks=tuple(plan.landmarks),
-        lamps=(),
-        cars_aerial=tuple(cars_aerial),
-        cars_ground=tuple(cars_ground),
-        base=(Kind.MEADOW, vary_colour(style_rng, (style.grass, (0.48, 0.44, 0.28)), 0.08)),
-        backdrops=draw_horizon(half_extent_m, tree_rng),
-    )
+    cars = park_cars(plan.slots, streets, car_rng, 400.0)
+    base = (Kind.MEADOW, vary_colour(style_rng, (style.grass, (0.48, 0.44, 0.28)), 0.08))
+    backdrops = draw_horizon(half_extent_m, tree_rng)
+    city = city_of(plan, half_extent_m, style, streets, cars, base, backdrops)
     return without_cars_on(city, [roundabout.island for roundabout, _ in islands])
 
 
