@@ -16,7 +16,15 @@ _VARY_HELP = "VIGOR: domain randomisation, all or some of " + "; ".join(
 
 # The options of each format that not all have.
 _OPTIONS = {
-    "vigor": {"cities", "panoramas", "panorama_size", "places", "vary", "label_noise_m"},
+    "vigor": {
+        "cities",
+        "panoramas",
+        "panorama_size",
+        "places",
+        "vary",
+        "plain_places",
+        "label_noise_m",
+    },
     "kitti": {"frames", "image_size"},
     "table": {"panoramas", "panorama_size", "image_size"},
 }
@@ -31,6 +39,9 @@ _OPTIONS = {
 @click.option("--panoramas", type=int, help="VIGOR, table: per city.  [default: 400]")
 @click.option("--places", type=int, help="VIGOR: layouts of each city.  [default: 1]")
 @click.option("--vary", type=NameList(), help=f"{_VARY_HELP}.")
+@click.option(
+    "--plain-places", type=int, help="VIGOR: so many of the places do not vary.  [default: 0]"
+)
 @click.option(
     "--label-noise-m", type=float, help="VIGOR: deviation of the labels' errors.  [default: 0]"
 )

@@ -64,6 +64,7 @@ def generate_vigor(
     tile_size: int = 640,
     places: int = 1,
     vary: Sequence[str] = (),
+    plain_places: int = 0,
     label_noise_m: float = 0.0,
     jobs: int | None = None,
     progress: Progress | None = None,
@@ -94,6 +95,9 @@ def generate_vigor(
     vary : sequence of str
         Switches of domain randomisation, keys of `slicemask.synth.vary.switches.SWITCHES`, or
         "all". None leaves all cities as they always were.
+    plain_places : int
+        So many of the places, drawn at random, are left as they always were: a model should know
+        the plain city too.
     label_noise_m : float
         Deviation of the errors of the labels, metres east and north, as GPS has them. Pictures stay
         the same.
@@ -123,6 +127,13 @@ def generate_vigor(
             f"label_noise_m is {label_noise_m}; it must be 0 to {MOST_LABEL_NOISE_M:g} metres"
         )
     switches = check_switches(vary)
+    if not 0 <= plain_places < places and plain_places:
+        raise SynthError(
+            f"plain_places is {plain_places}; it must be 0 to less than the number of places, "
+            f"{places}"
+        )
+    if plain_places and not switches:
+        raise SynthError(f"plain_places is {plain_places}; without vary all places are plain")
     columns, rows = panorama_size
     if rows < 16 or columns != 2 * rows:
         raise SynthError(
@@ -133,7 +144,9 @@ def generate_vigor(
     whole = vigor.VigorSpec(
         seed, 0, panoramas, (columns, rows), tile_size, None, switches, label_noise_m
     )
-    specs = [vigor.city_specs(replace(whole, city=city), places) for city in range(cities)]
+    specs = [
+        vigor.city_specs(replace(whole, city=city), places, plain_places) for city in range(cities)
+    ]
     # Planned before anything is written: not every plan can be.
     tasks: list[_Task] = [
         task for city in specs for spec in city for task in vigor.list_tasks(root, spec)
@@ -153,6 +166,8 @@ def generate_vigor(
         record["label_noise_m"] = label_noise_m
     if switches:
         record["vary"] = list(switches)
+    if plain_places:
+        record["plain_places"] = plain_places
     claim_folder(root, record)
     for city in specs:
         vigor.write_labels(root, city)

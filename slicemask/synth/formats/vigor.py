@@ -364,12 +364,24 @@ class PlaceTask:
         return sum(task.run() for task in self.tasks)
 
 
-def city_specs(spec: VigorSpec, places: int) -> list[VigorSpec]:
-    """Split a city into places that share its panoramas evenly; one place is the city itself."""
+def city_specs(spec: VigorSpec, places: int, plain_places: int = 0) -> list[VigorSpec]:
+    """Split a city into places that share its panoramas evenly; one place is the city itself.
+
+    So many of the places, drawn at random, are plain: no switch is on there.
+    """
     if places == 1:
         return [spec]
     least, more = divmod(spec.panoramas, places)
-    return [replace(spec, place=place, panoramas=least + (place < more)) for place in range(places)]
+    plain = set(spec.random(7).permutation(places)[:plain_places].tolist())
+    return [
+        replace(
+            spec,
+            place=place,
+            panoramas=least + (place < more),
+            vary=() if place in plain else spec.vary,
+        )
+        for place in range(places)
+    ]
 
 
 def list_tasks(root: Path, spec: VigorSpec) -> list[PanoramaTask | TilesTask | PlaceTask]:

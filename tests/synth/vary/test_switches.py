@@ -102,6 +102,16 @@ def test_places_differ(varied):
     assert np.std(tiles, axis=0).min() > 5
 
 
+def test_plain_places_do_not_vary(tmp_path):
+    """So many of the places are as without switches, bytes and all; the others vary."""
+    size = {**SMALL, "panoramas": 3, "places": 3}
+    generate_vigor(tmp_path / "plain", **size)
+    generate_vigor(tmp_path / "mixed", **size, vary=["light", "imagery"], plain_places=2)
+    plain, mixed = (contents(tmp_path / name, ".jpg", ".png") for name in ("plain", "mixed"))
+    same = [path for path in plain if "panorama" in str(path) and plain[path] == mixed.get(path)]
+    assert len(same) == 2
+
+
 def test_label_noise_is_in_the_labels_alone(plain, tmp_path):
     generate_vigor(tmp_path / "noisy", **SMALL, label_noise_m=3.0)
     assert contents(tmp_path / "noisy", ".jpg", ".png") == contents(plain, ".jpg", ".png")
@@ -127,6 +137,8 @@ def test_names_come_in_the_registry_s_order():
         ({"vary": ["weather"]}, "vary names 'weather'; it must be all, or of light, exposure"),
         ({"places": 4}, "places is 4; it must be 1 to the number of panoramas a city, 3"),
         ({"places": 0}, "places is 0; it must be 1 to"),
+        ({"places": 2, "plain_places": 1}, "plain_places is 1; without vary all places are plain"),
+        ({"vary": ["light"], "plain_places": 1}, "plain_places is 1; it must be 0 to less than"),
         ({"label_noise_m": -1.0}, "label_noise_m is -1.0; it must be 0 to 20 metres"),
     ],
 )
