@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -186,14 +187,12 @@ def _find_stages(
             "vgg16 or resnet50"
         )
     try:
-        with torch.device("meta"):  # shapes only: no memory, no random numbers
-            whole = timm.create_model(name)
-            # Transformers are built for one image size.
-            options: dict[str, Any] = (
-                {"img_size": image_size} if hasattr(whole, "set_input_size") else {}
-            )
-            net: Any = timm.create_model(name, features_only=True, **options)
-            strides: list[int] = net.feature_info.reduction()
+        # Transformers are built for one image size.
+        options: dict[str, Any] = (
+            {"img_size": image_size} if hasattr(_trial(name), "set_input_size") else {}
+        )
+        net: Any = _trial(name, features_only=True, **options)
+        strides: list[int] = net.feature_info.reduction()
     except Exception as error:  # each backbone refuses in its own way
         raise ConfigError(
             f"encoder {name!r} cannot be made for images of {_size(image_size)} "
@@ -208,6 +207,13 @@ def _find_stages(
     last = {found: stage for stage, found in enumerate(strides)}
     wanted = sorted(found for found in last if found == stride or stride < found <= deepest)
     return {**options, "out_indices": tuple(last[found] for found in wanted)}
+
+
+@lru_cache(maxsize=8)  # ground and aerial encoder are mostly alike
+def _trial(name: str, **options: Any) -> Any:
+    """A model to try things on, of shapes alone: no memory, no random numbers."""
+    with torch.device("meta"):
+        return timm.create_model(name, **options)
 
 
 def _cut_unused(backbone: Any) -> None:
@@ -228,7 +234,7 @@ def _try_images(
     multiple = 32
     try:
         with torch.device("meta"):
-            net: Any = timm.create_model(name, features_only=True, **options)
+            net: Any = _trial(name, features_only=True, **options)
             _cut_unused(net)
             multiple = math.lcm(multiple, *net.feature_info.reduction())
             image = torch.zeros(1, 3, *image_size)
