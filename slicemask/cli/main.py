@@ -22,7 +22,7 @@ _COMMANDS = {
     "visualize": ("bank", "Draw the slices of a pose."),
     "synth": (
         "synth",
-        "Generate a city with exact poses: VIGOR, KITTI, or a map.",
+        "Generate a city with exact poses: VIGOR, KITTI, a map, or drives.",
     ),
     "table": ("table", "List photographs in a table: of VIGOR, KITTI, or a folder."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
