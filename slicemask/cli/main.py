@@ -32,6 +32,7 @@ _COMMANDS = {
     "app": ("app", "Serve a page to look at: slices, or answers of a trained RUN."),
     "pack": ("pack", "Pack what predicting with a trained RUN takes into a folder."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
+    "track": ("track", "Follow a camera along a drive on a map, with a trained RUN."),
     "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 SAME_M, SAME_DEG = 3.0, 20.0
 # A hypothesis that is less likely is given up.
 LEAST_PROBABILITY = 1e-4
+MOST = 8  # hypotheses at a time
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,10 @@ class Hypothesis:
 def normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The likeliest first, their probabilities 1 in all, without those that are given up."""
     total = sum(one.probability for one in hypotheses)
-    kept = [one for one in hypotheses if one.probability / total > LEAST_PROBABILITY]
+    kept = sorted(hypotheses, key=lambda one: -one.probability)[:MOST]
+    kept = [one for one in kept if one.probability / total > LEAST_PROBABILITY]
     total = sum(one.probability for one in kept)
-    scaled = [replace(one, probability=one.probability / total) for one in kept]
-    return sorted(scaled, key=lambda one: -one.probability)
+    return [replace(one, probability=one.probability / total) for one in kept]
 
 
 def merged(hypotheses: list[Hypothesis]) -> list[Hypothesis]:

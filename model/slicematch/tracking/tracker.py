@@ -168,6 +168,11 @@ class Tracker:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def odometry(self) -> Odometry:
+        """The motion of the last step."""
+        return self._odometry
+
     def close(self) -> None:
         """End the thread that encodes tiles."""
         self.tiles.close()
@@ -177,6 +182,7 @@ class Tracker:
         image: Picture | None,
         odometry: Odometry | None = None,
         dt_s: float = 0.0,
+        note: str = "",
     ) -> TrackEstimate:
         """Go on by one frame.
 
@@ -192,12 +198,14 @@ class Tracker:
             The mean motion since the last step; without it the last one is taken to go on, about.
         dt_s : float
             Since the last step, seconds; at the first step it says nothing.
+        note : str
+            Why there is no image, for the estimate's notes.
 
         Returns
         -------
         TrackEstimate
         """
-        self._notes = []
+        self._notes = [note] if note else []
         first = not self.hypotheses
         odometry, dt_s = self._checked(odometry, dt_s, first)
         self.time_s += dt_s
