@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from PIL import Image
+
 from slicemask.errors import ImageError
 from slicemask.images import Picture
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
+from slicematch.data.views import View, cut_view
 from slicematch.localization.photos import Photo
 from slicematch.runs.config import TrainConfig
 from slicematch.tracking.odometry import Odometry
@@ -126,5 +129,17 @@ def frame_image(
         return str(path), ""
     try:
         return Photo(0, str(path), str(path), camera=camera).image(config), ""
+    except ImageError as error:
+        return None, f"the image is not used: {error}"
+
+
+def view_of(image: Image.Image, camera: Camera, config: TrainConfig) -> tuple[Picture | None, str]:
+    """What a run takes of a camera's image, and why it cannot."""
+    view, size = config.data_settings.get("view"), config.ground_size
+    if view is None or size is None:
+        return image, ""
+    try:
+        image = camera.undistort(image, "the image")
+        return cut_view(image, camera, View(*view), None, size, "the image"), ""
     except ImageError as error:
         return None, f"the image is not used: {error}"

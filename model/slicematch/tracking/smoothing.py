@@ -82,7 +82,10 @@ def smooth(
 
 
 def smoothed_estimates(
-    estimates: list[TrackEstimate], drawn: list[Floats], tiles: TrackTiles
+    estimates: list[TrackEstimate],
+    drawn: list[Floats],
+    tiles: TrackTiles,
+    registration_m: float,
 ) -> list[TrackEstimate]:
     """Estimates of the same frames from the smoothed states."""
     found = []
@@ -91,8 +94,8 @@ def smoothed_estimates(
         east_m, north_m, heading_deg = cloud.mean().tolist()
         lat, lon = tiles.globe(east_m, north_m)
         heading_deg = (heading_deg - tiles.turn_deg(lat, lon)) % 360.0
-        # Drawn from few particles, it may come out narrower than it is.
-        least = np.diag([0.05**2, 0.05**2, 0.1**2])
+        # Drawn from few particles, headings may come out as sure as none is.
+        least = np.diag([registration_m**2, registration_m**2, 0.1**2])
         covariance = cloud.covariance() + least
         mode = TrackMode(lat, lon, heading_deg, covariance, 1.0, east_m, north_m)
         found.append(replace(estimate, modes=(mode,)))

@@ -9,17 +9,12 @@ from numpy.typing import NDArray
 
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
-from slicematch.data.photographs import Photographs, read_photographs, wrong_cell
+from slicematch.data.photographs import DRIVE_COLUMNS, Photographs, read_photographs, wrong_cell
 from slicematch.data.table_cameras import table_cameras
 from slicematch.data.text import parse_number
 from slicematch.data.views import is_whole
 from slicematch.runs.config import TrainConfig
 from slicematch.tracking.drive import Fix, Frame, frame_image, mean_odometry
-
-# The columns that make a table of photographs one of frames.
-DRIVE_COLUMNS = (
-    "time_s", "speed_mps", "yaw_rate_dps", "gnss_lat", "gnss_lon", "gnss_accuracy_m",
-)  # fmt: skip
 
 
 class TableDrive:

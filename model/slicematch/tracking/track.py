@@ -169,7 +169,8 @@ def track(
         )
         if smoothed:
             drawn = smooth(steps, tracker.settings.noise, tracker.rng)
-            estimates = smoothed_estimates(estimates, drawn, tracker.tiles)
+            least_m = tracker.settings.registration_m
+            estimates = smoothed_estimates(estimates, drawn, tracker.tiles, least_m)
     found = Track([frame.time_s for frame in frames], estimates, tracker.tiles.origin)
     notes: dict[str, int] = {}
     for one in estimates:

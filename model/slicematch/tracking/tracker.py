@@ -44,6 +44,10 @@ class TrackSettings:
     outliers : float
         How likely a place is at least, against the best one, whatever its score: how often an
         image says nothing of its place.
+    registration_m : float
+        What no number of frames averages out, for it is the same along a street: how far a map lies
+        off the ground, and a model's answers off the truth. It is added to the covariance of
+        estimates, as a standard deviation to the east and to the north.
     search_s, doubt_search_s : float
         How often the whole tile is searched for better places, and how often where the belief is
         in doubt.
@@ -59,9 +63,10 @@ class TrackSettings:
 
     particles: int = 300
     other_particles: int = 100
-    independent_m: float = 6.0
+    independent_m: float = 8.0
     standing: float = 0.01
     outliers: float = 0.02
+    registration_m: float = 0.6
     search_s: float = 2.0
     doubt_search_s: float = 0.5
     lost_per_s: float = 0.01
@@ -339,13 +344,14 @@ class Tracker:
 
     def _estimate(self, seen: bool) -> TrackEstimate:
         modes = []
+        least = np.diag([self.settings.registration_m**2] * 2 + [0.0])
         for one in self.hypotheses:
             east_m, north_m, heading_deg = one.mean().tolist()
             lat, lon = self.tiles.globe(east_m, north_m)
             heading_deg = (heading_deg - self.tiles.turn_deg(lat, lon)) % 360.0
             modes.append(
                 TrackMode(
-                    lat, lon, heading_deg, one.covariance(), one.probability, east_m, north_m
+                    lat, lon, heading_deg, one.covariance() + least, one.probability, east_m, north_m
                 )
             )
         best = self.hypotheses[0]
