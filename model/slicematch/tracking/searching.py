@@ -1,5 +1,7 @@
 """Searching whole tiles: where a drive begins, and where else the camera may be."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
@@ -22,6 +24,25 @@ MODE_M, MODE_DEG = 8.0, 17.0
 # In doubt the tiles around are searched in turn: their centres, in shares of a tile's side.
 AROUND = 0.4
 COURSE = [(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)]
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found in a tile.
+
+    Attributes
+    ----------
+    found : list of Hypothesis
+        At places that no hypothesis has; their probabilities are those within the tile.
+    scores : float32 [rows, columns, headings]
+        Of the tile's candidates.
+    agrees : bool
+        Whether the tile's best place is that of the likeliest hypothesis.
+    """
+
+    found: list[Hypothesis]
+    scores: NDArray[np.float32]
+    agrees: bool
 
 
 class Searcher:
@@ -90,15 +111,15 @@ class Searcher:
         doubt: bool,
         particles: int,
         noise: MotionNoise,
-    ) -> tuple[list[Hypothesis], bool]:
+    ) -> "Search | None":
         """Look for places that no hypothesis has, around the likeliest one.
+
+        In doubt the tiles around are searched, another one each time.
 
         Returns
         -------
-        found : list of Hypothesis
-            Their probabilities are those within the tile.
-        agrees : bool
-            Whether the tile's best place is the likeliest hypothesis.
+        Search or None
+            None where there is no map.
         """
         best = hypotheses[0].mean()
         self._turn = self._turn + 1 if doubt else 0
@@ -106,14 +127,14 @@ class Searcher:
         away_m = AROUND * self.tiles.side_m
         tile = self.tiles.at(best[0] + east * away_m, best[1] + north * away_m)
         if tile is None:
-            return [], True
+            return None
         scores = self.scorer.whole(ground, tile.encoded).scores
         poses = tile.states(self.scorer.coarse_grid.poses())
         likely = probabilities(scores.ravel(), self.temperature)
         found = self._modes(tile, poses, likely, SEARCH_MODES, particles, noise)
         means = [one.mean() for one in hypotheses]
         new = [one for one in found if not any(_known(one.mean(), mean) for mean in means)]
-        return new, _known(found[0].mean(), best)
+        return Search(new, scores, _known(found[0].mean(), best))
 
     def _modes(
         self,

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +52,8 @@ class TrackSettings:
         How often the whole tile is searched for better places, and how often where the belief is
         in doubt.
     lost_per_s : float
-        How likely it is that the belief is lost in a second: what better places weigh at first.
+        How likely it is that the belief is lost in a second, before an image is seen: what better
+        places weigh at first follows by Bayes' rule.
     ahead_s : float
         How long before the camera comes there a tile is encoded.
     noise : MotionNoise
@@ -66,10 +67,10 @@ class TrackSettings:
     independent_m: float = 8.0
     standing: float = 0.01
     outliers: float = 0.02
-    registration_m: float = 0.6
-    search_s: float = 2.0
+    registration_m: float = 0.45
+    search_s: float = 1.0
     doubt_search_s: float = 0.5
-    lost_per_s: float = 0.01
+    lost_per_s: float = 0.1
     ahead_s: float = 3.0
     noise: MotionNoise = field(default_factory=MotionNoise)
     seed: int = 0
@@ -210,9 +211,11 @@ class Tracker:
         -------
         TrackEstimate
         """
-        self._notes = [note] if note else []
+        self._notes = []
         first = not self.hypotheses
         odometry, dt_s = self._checked(odometry, dt_s, first)
+        if note:
+            self._say(note)
         self.time_s += dt_s
         if not first and dt_s > 0:
             self._predict(odometry, dt_s)
@@ -232,6 +235,8 @@ class Tracker:
             odometry = None
         if first:
             return odometry, 0.0
+        if odometry is None and not self._notes:
+            self._say("there is no odometry, so that the last motion is taken to go on")
         if not (math.isfinite(dt_s) and dt_s > 0):
             self._say(f"the clock went on by {dt_s:g} s, so that no time is taken to have passed")
             return odometry, 0.0
@@ -242,11 +247,7 @@ class Tracker:
     def _predict(self, odometry: Odometry | None, dt_s: float) -> None:
         noise = self.settings.noise
         self.hypotheses = [
-            Hypothesis(
-                move(one.states, odometry, self._odometry, dt_s, noise, self.rng),
-                one.weights,
-                one.probability,
-            )
+            replace(one, states=move(one.states, odometry, self._odometry, dt_s, noise, self.rng))
             for one in self.hypotheses
         ]
         if odometry is not None:
@@ -278,14 +279,16 @@ class Tracker:
         for one, some in zip(self.hypotheses, scores, strict=True):
             if some is None:  # as likely as a place whose image says nothing
                 some = np.full(len(one.weights), best)
-            likely = np.exp((some - best) / self.temperature) + self.settings.outliers
-            after, evidence = one.weighed(share * np.log(likely))
-            weighed.append(
-                Hypothesis(after.states, after.weights, one.probability * math.exp(evidence))
-            )
+            after, evidence = one.weighed(share * np.log(self._likelihood(some, best)))
+            weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
+        belief = [
+            (one.probability * one.weights, some)
+            for one, some in zip(self.hypotheses, scores, strict=True)
+            if some is not None
+        ]
         self.hypotheses = normalised(weighed)
-        if self.time_s >= self._search_due_s:
-            self._search(ground)
+        if self.time_s >= self._search_due_s and belief:
+            self._search(ground, belief)
         return True
 
     def _scores(self, ground: Tensor, one: Hypothesis) -> Floats | None:
@@ -312,22 +315,34 @@ class Tracker:
         if ground is None:
             self._say("there is no first image, so that the belief is what was known before")
 
-    def _search(self, ground: Tensor) -> None:
+    def _search(self, ground: Tensor, belief: list[tuple[Floats, Floats]]) -> None:
+        """Look for other places; what they weigh depends on how well the image suits the belief.
+
+        Bayes' rule for "the belief is lost, and the camera is anywhere in the tile": its evidence is
+        the mean likelihood over the tile, against that over the particles before the image.
+        """
         settings, best = self.settings, self.hypotheses[0]
-        lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
-        found, agrees = self.searcher.search(
+        search = self.searcher.search(
             ground, self.hypotheses, self._doubt, settings.other_particles, settings.noise
         )
-        if found:
-            kept = [
-                Hypothesis(one.states, one.weights, one.probability * (1.0 - lost))
-                for one in self.hypotheses
+        if search is not None:
+            weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
+            most = max(float(scores.max()), float(search.scores.max()))
+            lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
+            lost *= float(self._likelihood(search.scores, most).mean())
+            kept = (1.0 - lost) * float(weights @ self._likelihood(scores, most) / weights.sum())
+            lost /= lost + kept
+            self.hypotheses = [
+                *(replace(one, probability=one.probability * (1 - lost)) for one in self.hypotheses),
+                *(replace(one, probability=one.probability * lost) for one in search.found),
             ]
-            new = [Hypothesis(one.states, one.weights, one.probability * lost) for one in found]
-            self.hypotheses = kept + new
-        self._doubt = best.probability < SURE or not agrees
+        self._doubt = best.probability < SURE or (search is not None and not search.agrees)
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
         self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
+
+    def _likelihood(self, scores: Floats, most: float) -> Floats:
+        """How likely places are by their scores, against the best one."""
+        return np.asarray(np.exp((scores - most) / self.temperature) + self.settings.outliers)
 
     def _resample(self) -> None:
         settings = self.settings
