@@ -22,7 +22,7 @@ from slicemask.app.uploads import ImageDropper, read_upload
 from slicemask.errors import AppError, SlicemaskError
 from slicemask.geometry.masks import slice_masks
 from slicemask.images import read_aerial
-from slicematch.app.examples import Examples
+from slicematch.app.examples import DataExamples, Examples, ShippedExamples
 from slicematch.app.ground_view import GroundView, contribution_colours
 from slicematch.app.match import Match, match
 from slicematch.app.overlays import Overlays
@@ -44,7 +44,8 @@ def finder_pages(run: str | Path, data: str | None = None) -> Callable[[], Any]:
     run : path
         A run folder; sessions share what is loaded of it.
     data : path, optional
-        A data tree with examples to click; by default the run's, if it is there.
+        A data tree with examples to click; by default those that come with the run, or else its
+        data tree's, if it is there.
 
     Raises
     ------
@@ -54,9 +55,10 @@ def finder_pages(run: str | Path, data: str | None = None) -> Callable[[], Any]:
         If the data that were named cannot be read.
     """
     localizer = Localizer.load(run)
-    examples = None
+    examples: Examples = ShippedExamples(run)
     try:
-        examples = Examples(localizer.config, data)
+        if data is not None or not examples:
+            examples = DataExamples(localizer.config, data)
     except SlicemaskError as error:
         if data is not None:
             raise
@@ -71,11 +73,11 @@ class Finder:
     ----------
     localizer : Localizer
         Of the run.
-    examples : Examples or None
-        Pairs to click.
+    examples : Examples
+        Pairs to click; there may be none.
     """
 
-    def __init__(self, localizer: Localizer, examples: Examples | None) -> None:
+    def __init__(self, localizer: Localizer, examples: Examples) -> None:
         self.localizer, self._examples = localizer, examples
         self.ground: Image.Image | None = None
         self.tile: Image.Image | None = None
@@ -137,15 +139,13 @@ class Finder:
 
     def _example_buttons(self) -> Any:
         buttons = pn.FlexBox(sizing_mode="stretch_width")
-        for number in range(len(self._examples or ())):
+        for number in range(len(self._examples)):
             button = pn.widgets.Button(name=f"Example {number + 1}", width=104, **OUTLINED)
             button.on_click(lambda event, number=number: self._choose_example(number))
             buttons.append(button)
         return buttons
 
     def _choose_example(self, number: int) -> None:
-        if self._examples is None:
-            return
         try:
             example = self._examples.load(number)
         except SlicemaskError as error:
