@@ -16,8 +16,8 @@ from slicematch.parts import Parts, Work, do_part
 # Parts that wait at the scheduler at once; more come as these are done.
 _WAITING = 1000
 _WAIT_S = 60
-# Dask has its workers give freed memory back at once. Scoring uses the same megabytes over and over,
-# and would take three times as long, most of it to get them again.
+# Dask has its workers give freed memory back at once. Scoring uses the same megabytes over and
+# over, and would take three times as long, most of it to get them again.
 WORKER_ENVIRON = {
     "MALLOC_ARENA_MAX": "1",
     "MALLOC_TRIM_THRESHOLD_": str(512 * 2**20),
