@@ -80,3 +80,15 @@ def test_own_images_are_dropped_and_wrong_ones_are_refused(look, finder):
     assert looker.page.get_by_text("From the truth").count() == 0
     assert looker.page.evaluate("document.documentElement.scrollWidth") <= 390
     looker.keep("finder_phone")
+
+
+def test_the_run_that_ships_comes_with_examples(look, serve, tmp_path):
+    """They are answered where its own data tree is not."""
+    looker = look(serve("generated-city", env={"SLICEMASK_CACHE": str(tmp_path)}))
+    assert looker.page.get_by_role("button", name=re.compile("Example")).count() == 3
+    looker.page.get_by_role("button", name="Example 3").click()
+    text = looker.page.get_by_text("From the truth")
+    text.wait_for()
+    metres = float(re.search(r"([\d.]+) m", text.inner_text())[1])
+    assert metres < 5.0
+    looker.keep("generated-city")
