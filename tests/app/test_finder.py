@@ -91,4 +91,5 @@ def test_the_run_that_ships_comes_with_examples(look, serve, tmp_path):
     text.wait_for()
     metres = float(re.search(r"([\d.]+) m", text.inner_text())[1])
     assert metres < 5.0
+    looker.wait_until(lambda: any(looker.pose()))
     looker.keep("generated-city")
