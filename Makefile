@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help bank demo quick core lowest test docs linkcheck lint bench constraints clean
+.PHONY: help answer bank demo quick core lowest test docs linkcheck lint bench constraints clean
 
 # What needs neither torch nor trimesh; the rest of the tests needs the extras.
 CORE_TESTS := tests/geometry tests/bank $(wildcard tests/test_*.py)
@@ -14,6 +14,7 @@ QUICK_TESTS := tests/geometry tests/bank $(filter-out tests/test_wheel.py tests/
 
 help:
 	@echo "make bank    build the default bank into masks_cache/ and draw it"
+	@echo "make answer  find the camera of a panorama that comes with slicemask, and draw the answer"
 	@echo "make demo    generate two cities, train on one, find cameras in the other, draw it"
 	@echo "make quick   run the fast tests of geometry, banks and the command (under a minute)"
 	@echo "make core    run all tests that need no torch"
@@ -49,6 +50,10 @@ $(VENV)/.docs: $(VENV)/.full
 bank: $(VENV)/.core
 	$(BIN)/slicemask build --grid 21x21x64 --hfov 360 --cache masks_cache
 	$(BIN)/slicemask visualize masks_cache/21x21x64_hfov360_n16_l32.h5 --out masks_cache/default.png
+
+answer: $(VENV)/.full
+	@mkdir -p runs
+	$(BIN)/slicemask predict generated-city --example 1 --out runs/answer.png
 
 # Cut short, it goes on where it stopped.
 demo: $(VENV)/.full

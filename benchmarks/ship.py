@@ -5,14 +5,12 @@ on them, and packs the result. What is there already is not done again, and a tr
 short goes on, so it may take several sittings. Processor time is printed at the end of each step.
 """
 
-import os
-import resource
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import click
+
+from benchmarks.commands import slicemask
 
 CITY = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
@@ -51,12 +49,7 @@ def main(work: str, out: str) -> None:
 
 def _slicemask(*arguments: str) -> None:
     """Run a command on one thread, and say what it cost."""
-    click.echo("slicemask " + " ".join(arguments), err=True)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, "-m", "slicemask", *arguments], check=True, env=environment)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    minutes = (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime) / 60
+    minutes = slicemask(*arguments, threads=1)["processor_s"] / 60
     click.echo(f"{arguments[0]}: {minutes:.1f} minutes of a processor", err=True)
 
 
