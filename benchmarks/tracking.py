@@ -125,9 +125,7 @@ def recovery(
             found = tracker.step(frame.image, frame.odometry, dt_s)
             before = frame
             mode = found.modes[0]
-            off_m = math.dist(
-                tracker.tiles.metres(*frame.truth[:2]), (mode.east_m, mode.north_m)
-            )
+            off_m = math.dist(tracker.tiles.metres(*frame.truth[:2]), (mode.east_m, mode.north_m))
             if jumped and off_m < BACK_M:
                 return frame.time_s - JUMP_AT_S
             if jumped and frame.time_s > JUMP_AT_S + BACK_WITHIN_S:

@@ -39,9 +39,7 @@ class TrackNode(Node):
         super().__init__("slicemask")
         for name, value in (("run", "generated-city"), ("map", "ortho.tif"), ("device", "auto")):
             self.declare_parameter(name, value)
-        run, path, device = (
-            self.get_parameter(name).value for name in ("run", "map", "device")
-        )
+        run, path, device = (self.get_parameter(name).value for name in ("run", "map", "device"))
         self.localizer = Localizer.load(run, grid="2x2x4", device=device)
         self.map = AerialMap.open(path)
         self.tracker: Tracker | None = None

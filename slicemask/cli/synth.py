@@ -51,7 +51,11 @@ _OPTIONS = {
 @click.option("--seconds", type=float, help="Drive: how long each takes.  [default: 60]")
 @click.option("--rate-hz", type=float, help="Drive: frames a second.  [default: 10]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
-@click.option("--panorama-size", type=ImageSize(), help="VIGOR, table, drive.  [default: 2048x1024, for drive 512x256]")
+@click.option(
+    "--panorama-size",
+    type=ImageSize(),
+    help="VIGOR, table, drive.  [default: 2048x1024, for drive 512x256]",
+)
 @click.option(
     "--image-size", type=ImageSize(), help="KITTI, table.  [default: 1242x375, for table 640x480]"
 )

@@ -80,9 +80,7 @@ def generate_drive(
         )
     jobs = thread_count(jobs)
     root = Path(out)
-    spec = drive.DriveSpec(
-        seed, drives, float(seconds), float(rate_hz), (columns, rows), tile_size
-    )
+    spec = drive.DriveSpec(seed, drives, float(seconds), float(rate_hz), (columns, rows), tile_size)
     tasks = drive.list_tasks(root, spec)
     drive.plan_drives(spec)  # before anything is written: not every city has such drives
     claim_folder(

@@ -84,7 +84,12 @@ class BagDrive:
                     picture, note = _picture(message, connection.msgtype, camera, self.config)
                     # ROS's y and z axes point left and up.
                     yield Frame(
-                        _time_s(message, stamp), picture, mean_odometry(means, means), fix, None, note
+                        _time_s(message, stamp),
+                        picture,
+                        mean_odometry(means, means),
+                        fix,
+                        None,
+                        note,
                     )
                     speeds, turns, fix = [], {"odometry": [], "imu": []}, None
 
@@ -138,7 +143,9 @@ def _choose(
         raise DatasetError(f"{path}: has several such topics; name one ({option}): "
                            f"{', '.join(found)}")  # fmt: skip
     if not found and not may_lack:
-        raise DatasetError(f"{path}: has no topic of {' or '.join(wanted)}, so that it shows nothing")
+        raise DatasetError(
+            f"{path}: has no topic of {' or '.join(wanted)}, so that it shows nothing"
+        )
     return found[0] if found else None
 
 
@@ -167,7 +174,9 @@ def _camera(message: Any) -> Camera | None:
     fx, cx, fy, cy = matrix[[0, 2, 4, 5]].tolist()
     raw = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=float).tolist()
     fisheye = message.distortion_model in ("equidistant", "fisheye")
-    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    names = (
+        ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    )
     return Camera(
         projection="pinhole",
         width=int(message.width),

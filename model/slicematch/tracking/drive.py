@@ -106,9 +106,7 @@ def open_drive(path: str | Path, config: TrainConfig, **topics: Any) -> Drive:
     return opened
 
 
-def mean_odometry(
-    before: Sequence[float | None], after: Sequence[float | None]
-) -> Odometry | None:
+def mean_odometry(before: Sequence[float | None], after: Sequence[float | None]) -> Odometry | None:
     """The mean of what odometry says at two frames, (speed, yaw rate) each; None if unknown."""
     values = []
     for first, second in zip(before, after, strict=True):

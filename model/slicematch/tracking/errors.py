@@ -53,7 +53,7 @@ class TrackErrors:
         places, headings, inside = [], [], []
         for k in chosen:
             one, truth = track.estimates[k], truths[k]
-            assert truth is not None  # noqa: S101 - for type checkers
+            assert truth is not None
             places.append(math.hypot(*offset_m(truth[:2], (one.lat, one.lon))))
             headings.append(abs((one.heading_deg - truth[2] + 180.0) % 360.0 - 180.0))
             inside.append(one.holds(*offset_m(track.origin, truth[:2])))

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 SAME_M, SAME_DEG = 3.0, 20.0
 # A hypothesis that is less likely is given up.
 LEAST_PROBABILITY = 1e-4
-MOST = 8  # hypotheses at a time
+MOST = 12  # hypotheses at a time
 
 
 @dataclass(frozen=True)

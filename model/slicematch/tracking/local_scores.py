@@ -191,8 +191,8 @@ class LocalScorer:
         frustum, cells = localizer.frustum, localizer.model.cells
         low, high = (1 - FINE_SHARE) / 2, (1 + FINE_SHARE) / 2
         fine = PoseGrid(*FINE_GRID, extent=(low, low, high, high))
-        coarse = PoseGrid(*COARSE_GRID)
-        banks = [build_bank(grid, frustum, cells, cache=cache).path for grid in (fine, coarse)]
+        grids = fine, PoseGrid(*COARSE_GRID)
+        banks = [build_bank(grid, frustum, cells, cache=cache).path for grid in grids]
         loaded = [load_candidates(bank, frustum, cells) for bank in banks]
         (every, self.fine_grid), (coarse, self.coarse_grid) = loaded
         self.coarse = coarse.to(localizer.device)

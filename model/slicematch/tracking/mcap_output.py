@@ -20,7 +20,7 @@ _KNOWN_COVARIANCE = 3  # NavSatFix.COVARIANCE_TYPE_KNOWN
 def check_installed(path: Path) -> None:
     """Refuse a file of this kind where the packages that write it are missing."""
     try:
-        import mcap.writer
+        import mcap.writer  # noqa: F401
         import rosbags.typesys  # noqa: F401
     except ImportError as error:
         raise OutputError(
@@ -75,7 +75,8 @@ def _messages(types: Any, track: Track, number: int, nanoseconds: int) -> dict[s
         orientation=types["geometry_msgs/msg/Quaternion"](*yaw_quaternion(one.heading_deg)),
     )
     # x, y, z and the turns about them; a heading grows the other way round than a yaw.
-    known = one.covariance * np.outer(*[[1.0, 1.0, -np.pi / 180.0]] * 2)
+    scale = np.array([1.0, 1.0, -np.pi / 180.0])
+    known = one.covariance * np.outer(scale, scale)
     covariance = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
     covariance[np.ix_([0, 1, 5], [0, 1, 5])] = known
     place = np.zeros((3, 3))

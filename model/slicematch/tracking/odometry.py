@@ -1,7 +1,7 @@
 """Motion between frames: what odometry says, how far off it is, and how states move by it.
 
-A state is (east_m, north_m, heading_deg, scale, bias_dps): a pose on the map, and what is unknown of
-the odometry itself: by which factor true speeds differ from those it says, and what its yaw rate
+A state is (east_m, north_m, heading_deg, scale, bias_dps): a pose on the map, and what is unknown
+of the odometry itself: by which factor true speeds differ from those it says, and what its yaw rate
 says when the car goes straight.
 """
 
@@ -37,9 +37,7 @@ class Odometry:
     sideways_mps: float = 0.0
 
     @classmethod
-    def between(
-        cls, forward_m: float, right_m: float, turn_deg: float, dt_s: float
-    ) -> "Odometry":
+    def between(cls, forward_m: float, right_m: float, turn_deg: float, dt_s: float) -> "Odometry":
         """The mean motion that leads to a relative pose, as visual odometry gives it.
 
         Parameters
@@ -89,9 +87,7 @@ class MotionNoise:
     unknown_yaw_dps: float = 10.0
 
 
-def start_states(
-    poses: Floats, noise: MotionNoise, rng: np.random.Generator
-) -> Floats:
+def start_states(poses: Floats, noise: MotionNoise, rng: np.random.Generator) -> Floats:
     """States [P, 5] at poses [P, 3] of odometry that nothing is known of yet."""
     count = len(poses)
     unknown = [rng.normal(1.0, noise.scale, count), rng.normal(0.0, noise.bias_dps, count)]

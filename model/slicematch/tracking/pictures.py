@@ -48,10 +48,14 @@ def save_picture(aerial_map: AerialMap, track: Track, truths: Truths, path: Path
     sure = np.array([one.probability > 0.5 for one in track.estimates])
     line = np.where(sure[:, None], places, np.nan)
     axes.plot(*line.T, color=_TRACK, lw=1.6, label="track", zorder=4, path_effects=_OUTLINE)
-    axes.scatter(*places[~sure].T, s=6, color="#ffd23f", label="in doubt", zorder=3)
+    axes.scatter(
+        places[~sure, 0], places[~sure, 1], s=6, color="#ffd23f", label="in doubt", zorder=3
+    )
     every = max(1, len(places) // _ELLIPSES)
     _draw_ellipses(axes, track, range(0, len(places), every))
-    axes.scatter(*places[:1].T, marker="o", s=60, color="white", edgecolor=_INK, zorder=5)
+    axes.scatter(
+        places[:1, 0], places[:1, 1], marker="o", s=60, color="white", edgecolor=_INK, zorder=5
+    )
     axes.annotate("start", places[0], (7, 7), textcoords="offset points", color="white",
                   path_effects=_OUTLINE, zorder=6)  # fmt: skip
     axes.legend(loc="upper right", framealpha=0.85)
@@ -161,9 +165,7 @@ def _on_map(
     if bare:
         axes.set_axis_off()
     else:
-        axes.set_xlabel(
-            f"metres east of {track.origin[0]:.6f}, {track.origin[1]:.6f}", color=_INK
-        )
+        axes.set_xlabel(f"metres east of {track.origin[0]:.6f}, {track.origin[1]:.6f}", color=_INK)
         axes.set_ylabel("metres north", color=_INK)
     return figure, axes
 

@@ -146,7 +146,8 @@ class Searcher:
         noise: MotionNoise,
     ) -> list[Hypothesis]:
         """The peaks of probabilities [K] at poses [K, 3], each with what lies around it."""
-        left, found = likely.copy(), []
+        left = likely.copy()
+        found: list[Hypothesis] = []
         while len(found) < most and left.sum() > 1.0 - START_MASS:
             peak = int(left.argmax())
             around = _within(poses, poses[peak], MODE_M, MODE_DEG)

@@ -1,8 +1,8 @@
 """Smoothing after a drive: each frame's belief with what later frames say of it.
 
 Backward simulation (Godsill, Doucet and West, *Monte Carlo Smoothing for Nonlinear Time Series*,
-JASA 2004, algorithm 1): whole drives are drawn from the particles that the filter had, from the last
-frame back to the first, each particle by its weight and by how well odometry leads from it to the
+JASA 2004, algorithm 1): whole drives are drawn from the particles that the filter had, from the
+last frame back to the first, each particle by its weight and by how well odometry leads from it to the
 one already drawn. What the filter took for unlikely and turned out right is thus found again.
 """
 
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from slicematch.angles import angle_difference_deg
 from slicematch.tracking.hypotheses import Hypothesis
 from slicematch.tracking.odometry import HEADING, MotionNoise, Odometry, mean_move, step_deviations
-from slicematch.tracking.track_estimate import TrackEstimate, TrackMode
 from slicematch.tracking.tiles import TrackTiles
+from slicematch.tracking.track_estimate import TrackEstimate, TrackMode
 
 Floats = NDArray[np.float64]
 

@@ -66,7 +66,7 @@ class TrackSettings:
     other_particles: int = 100
     independent_m: float = 8.0
     standing: float = 0.01
-    outliers: float = 0.02
+    outliers: float = 0.05
     registration_m: float = 0.45
     search_s: float = 1.0
     doubt_search_s: float = 0.5
@@ -192,9 +192,9 @@ class Tracker:
     ) -> TrackEstimate:
         """Go on by one frame.
 
-        Nothing that a frame may lack ends the drive: an image that is missing or unreadable, odometry
-        that is missing or not finite, a clock that stands still or runs backwards, a map that ends.
-        The belief then goes on with what is left, grows wider, and the estimate's notes say so.
+        Nothing that a frame may lack ends the drive: an image that is missing or unreadable,
+        odometry that is missing or not finite, a clock that stands still or runs backwards, a map
+        that ends. The belief then goes on with what is left, grows wider, and the estimate's notes say so.
 
         Parameters
         ----------
@@ -277,8 +277,8 @@ class Tracker:
             self._say("the map ends here, so that the belief goes on by odometry alone")
         weighed = []
         for one, some in zip(self.hypotheses, scores, strict=True):
-            if some is None:  # as likely as a place whose image says nothing
-                some = np.full(len(one.weights), best)
+            if some is None:  # no more likely than a place that looks otherwise
+                some = np.full(len(one.weights), -math.inf)
             after, evidence = one.weighed(share * np.log(self._likelihood(some, best)))
             weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
         belief = [
@@ -318,8 +318,8 @@ class Tracker:
     def _search(self, ground: Tensor, belief: list[tuple[Floats, Floats]]) -> None:
         """Look for other places; what they weigh depends on how well the image suits the belief.
 
-        Bayes' rule for "the belief is lost, and the camera is anywhere in the tile": its evidence is
-        the mean likelihood over the tile, against that over the particles before the image.
+        Bayes' rule for "the belief is lost, and the camera is anywhere in the tile": its evidence
+        is the mean likelihood over the tile, against that over the particles before the image.
         """
         settings, best = self.settings, self.hypotheses[0]
         search = self.searcher.search(
@@ -329,11 +329,14 @@ class Tracker:
             weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
             most = max(float(scores.max()), float(search.scores.max()))
             lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
-            lost *= float(self._likelihood(search.scores, most).mean())
+            lost *= float(self._likelihood(search.scores.astype(np.float64), most).mean())
             kept = (1.0 - lost) * float(weights @ self._likelihood(scores, most) / weights.sum())
             lost /= lost + kept
             self.hypotheses = [
-                *(replace(one, probability=one.probability * (1 - lost)) for one in self.hypotheses),
+                *(
+                    replace(one, probability=one.probability * (1 - lost))
+                    for one in self.hypotheses
+                ),
                 *(replace(one, probability=one.probability * lost) for one in search.found),
             ]
         self._doubt = best.probability < SURE or (search is not None and not search.agrees)
@@ -366,7 +369,13 @@ class Tracker:
             heading_deg = (heading_deg - self.tiles.turn_deg(lat, lon)) % 360.0
             modes.append(
                 TrackMode(
-                    lat, lon, heading_deg, one.covariance() + least, one.probability, east_m, north_m
+                    lat,
+                    lon,
+                    heading_deg,
+                    one.covariance() + least,
+                    one.probability,
+                    east_m,
+                    north_m,
                 )
             )
         best = self.hypotheses[0]

@@ -1,7 +1,8 @@
 """Drives through a generated city: frames at camera rate, odometry, fixes, and the map.
 
 A car with a panoramic camera that looks ahead drives along the streets, turns at junctions and
-stops at some. Each drive is a table with a row for each frame: what the sensors said, and the truth.
+stops at some. Each drive is a table with a row for each frame: what the sensors said, and the
+truth.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,7 @@
 """Drives as they are recorded: tables, KITTI's folders and ROS bags."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -70,16 +71,14 @@ def test_a_kitti_drive_has_its_speeds(tmp_path):
     pytest.importorskip("trimesh")
     from slicemask.synth import generate_kitti
 
-    generate_kitti(
-        tmp_path, frames=12, seed=2, image_size=(124, 38), tile_size=512, jobs=1
-    )
+    generate_kitti(tmp_path, frames=12, seed=2, image_size=(124, 38), tile_size=512, jobs=1)
     folder = max(
         tmp_path.glob("raw_data/*/*_sync"), key=lambda path: len(list(path.glob("oxts/data/*")))
     )
     frames = list(open_drive(folder, CAMERAS))
     assert len(frames) >= 4
     assert frames[1].time_s == pytest.approx(0.4)
-    for before, frame in zip(frames, frames[1:], strict=False):
+    for before, frame in pairwise(frames):
         assert 8 < frame.odometry.speed_mps < 12  # frames are 4 m and 0.4 s apart
         turned = (frame.truth[2] - before.truth[2] + 180) % 360 - 180
         assert abs(turned - 0.4 * frame.odometry.yaw_rate_dps) < 4

@@ -28,11 +28,12 @@ def test_headings_are_averaged_the_short_way_round():
 
 def test_what_comes_to_one_place_is_one_and_the_rest_stays_apart():
     here, there = np.zeros((10, 3)), np.full((10, 3), 30.0)
-    found = merged([cloud(here, 0.5), cloud(there, 0.3), cloud(here + [1.0, 0, 5.0], 0.2)])
+    near = here + np.array([1.0, 0, 5.0])
+    found = merged([cloud(here, 0.5), cloud(there, 0.3), cloud(near, 0.2)])
     assert [one.probability for one in found] == [0.7, 0.3]
     assert found[0].mean()[0] == pytest.approx(0.2 / 0.7)
     # The same place, but the other way round, is another answer.
-    assert len(merged([cloud(here), cloud(here + [0, 0, 180.0])])) == 2
+    assert len(merged([cloud(here), cloud(here + np.array([0, 0, 180.0]))])) == 2
 
 
 def test_only_the_likeliest_are_kept():

@@ -39,7 +39,8 @@ def test_candidates_have_the_scores_of_the_closed_form(localizer, scorer, pair, 
     np.testing.assert_allclose(volume.at(poses), exact, atol=1e-5)
     assert volume.round == (spread[2] == 180.0)
     # What was asked for lies inside.
-    assert volume.at(np.array([pose])) == pytest.approx(volume.at(np.array([pose]) + [0, 0, 360]))
+    again = np.array([pose]) + np.array([0, 0, 360.0])
+    assert volume.at(np.array([pose])) == pytest.approx(volume.at(again))
 
 
 def test_a_search_scores_the_whole_tile(localizer, scorer, pair):

@@ -12,7 +12,7 @@ STILL = np.array([[0.0, 0.0, 0.0, 1.0, 0.0]])
     ("heading_deg", "east_m", "north_m"), [(0, 0, 5), (90, 5, 0), (180, 0, -5), (270, -5, 0)]
 )
 def test_a_car_goes_where_it_heads(heading_deg, east_m, north_m):
-    moved = mean_move(STILL + [0, 0, heading_deg, 0, 0], Odometry(10.0), 0.5)
+    moved = mean_move(STILL + np.array([0, 0, heading_deg, 0, 0]), Odometry(10.0), 0.5)
     np.testing.assert_allclose(moved[0, :2], [east_m, north_m], atol=1e-12)
 
 
@@ -24,7 +24,9 @@ def test_small_steps_of_a_turn_are_one_circle():
 
 
 def test_what_is_unknown_of_the_odometry_is_undone():
-    state = STILL + [0, 0, 0, 0.1, 2.0]  # true speeds are 1.1 times, and 2 degrees/s are nothing
+    state = STILL + np.array(
+        [0, 0, 0, 0.1, 2.0]
+    )  # true speeds are 1.1 times, and 2 degrees/s are nothing
     moved = mean_move(state, Odometry(10.0, 2.0), 1.0)
     np.testing.assert_allclose(moved[0, :3], [0.0, 11.0, 0.0], atol=1e-12)
 

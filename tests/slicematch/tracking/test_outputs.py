@@ -122,5 +122,5 @@ def test_mcap_is_read_back_by_rosbags(track, tmp_path):
 
 @pytest.mark.parametrize("name", ["a.bag", "a", "missing/a.tum"])
 def test_files_of_other_kinds_are_refused(name, tmp_path):
-    with pytest.raises(OutputError, match="suffix|folder"):
+    with pytest.raises(OutputError, match=r"suffix|folder"):
         check_track_target(tmp_path / name)

@@ -9,10 +9,10 @@ from PIL import Image
 pytest.importorskip("trimesh")
 pytest.importorskip("rasterio")
 
-from slicemask.errors import SynthError  # noqa: E402
-from slicemask.synth import generate_drive  # noqa: E402
-from slicemask.synth.formats.drive import DriveSpec, plan_drives  # noqa: E402
-from slicemask.synth.layout.sensors import measure_fixes, measure_odometry  # noqa: E402
+from slicemask.errors import SynthError
+from slicemask.synth import generate_drive
+from slicemask.synth.formats.drive import DriveSpec, plan_drives
+from slicemask.synth.layout.sensors import measure_fixes, measure_odometry
 
 SMALL = {"seconds": 1.0, "rate_hz": 2.0, "seed": 3, "panorama_size": (64, 32), "tile_size": 32}
 
