@@ -51,12 +51,12 @@ def write_track(track: Track, path: str | Path) -> None:
     ----------
     track : Track
     path : path
-        ``.tum``: time, x, y, z and a quaternion a line, in metres east, north and up of the
-        origin, the quaternion that of a body whose x axis looks ahead. ``.txt``: KITTI's, the
-        twelve numbers of a camera's pose a line, x to the east, y down, z to the north of the
-        origin. ``.geojson``: the track, each pose, and its ellipse of 95 %. ``.csv``: a row for
-        each pose, with its covariance (cov_ee is east with east, cov_en east with north, cov_eh
-        with heading; metres and degrees). ``.mcap``: ROS 2 messages geometry_msgs/PoseWithCovarianceStamped on
+        ``.tum``: time, x, y, z and a quaternion a line, in metres east, north and up of the origin,
+        the quaternion that of a body whose x axis looks ahead. ``.txt``: KITTI's, the twelve
+        numbers of a camera's pose a line, x to the east, y down, z to the north of the origin.
+        ``.geojson``: the track, each pose, and its ellipse of 95 %. ``.csv``: a row for each pose,
+        with its covariance (cov_ee is east with east, cov_en east with north, cov_eh with heading;
+        metres and degrees). ``.mcap``: ROS 2 messages geometry_msgs/PoseWithCovarianceStamped on
         ``/slicemask/pose`` and sensor_msgs/NavSatFix on ``/slicemask/fix``.
 
     Raises

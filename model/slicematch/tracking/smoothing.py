@@ -2,8 +2,8 @@
 
 Backward simulation (Godsill, Doucet and West, *Monte Carlo Smoothing for Nonlinear Time Series*,
 JASA 2004, algorithm 1): whole drives are drawn from the particles that the filter had, from the
-last frame back to the first, each particle by its weight and by how well odometry leads from it to the
-one already drawn. What the filter took for unlikely and turned out right is thus found again.
+last frame back to the first, each particle by its weight and by how well odometry leads from it to
+the one already drawn. What the filter took for unlikely and turned out right is thus found again.
 """
 
 from dataclasses import dataclass, replace

@@ -194,7 +194,8 @@ class Tracker:
 
         Nothing that a frame may lack ends the drive: an image that is missing or unreadable,
         odometry that is missing or not finite, a clock that stands still or runs backwards, a map
-        that ends. The belief then goes on with what is left, grows wider, and the estimate's notes say so.
+        that ends. The belief then goes on with what is left, grows wider, and the estimate's notes
+        say so.
 
         Parameters
         ----------
