@@ -23,8 +23,9 @@ def _python(code):
 def test_public_names():
     # A name taken out of this list breaks somebody's code: do it on purpose, and in a changelog.
     assert slicematch.__all__ == [
-        "Candidates", "Estimate", "Localizer", "PoseDataset", "Priors", "SliceMatch", "TrainConfig",
-        "evaluate", "locate", "predict", "predict_on_map", "train",
+        "Candidates", "Estimate", "Localizer", "Odometry", "PoseDataset", "Priors", "SliceMatch",
+        "TrackEstimate", "TrackSettings", "Tracker", "TrainConfig", "evaluate", "locate", "predict",
+        "predict_on_map", "track", "train",
     ]  # fmt: skip
     assert set(slicematch.__all__) <= set(dir(slicematch))
 
