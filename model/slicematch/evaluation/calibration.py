@@ -212,6 +212,11 @@ def calibrate(
     ConfigError, DatasetError
         If the run has no validation part, or its data cannot be read.
     """
+    if find_run(run) != Path(run):
+        raise ConfigError(
+            f"{run} comes with slicemask, whose files stay as they are; copy the folder "
+            f"{find_run(run)}, and calibrate the copy"
+        )
     folder = RunFolder(Path(run))
     config = folder.load_config()
     workers = check_workers(config.workers if workers is None else workers)

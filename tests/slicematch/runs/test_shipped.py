@@ -71,6 +71,29 @@ def predict(*arguments):
     return CliRunner().invoke(main, ["predict", RUN, *arguments])
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["locate", RUN, "photo.jpg", "--map", "ortho.tif", "--out", "answers.csv"],
+        ["predict", RUN, "--ground", "photo.jpg", "--map", "ortho.tif"],
+        ["evaluate", RUN, "--root", "nowhere"],
+        ["train", "--init", RUN, "--data", "vigor", "--root", "nowhere"],
+    ],
+)
+def test_all_commands_know_its_name(command, tmp_path, monkeypatch):
+    """What they refuse is the data, which is not there."""
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, [*command, "--cache", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "ortho.tif" in result.output or "nowhere" in result.output
+    assert "is no run folder" not in result.output
+
+
+def test_its_files_stay_as_they_are(tmp_path):
+    result = CliRunner().invoke(main, ["calibrate", RUN, "--root", str(tmp_path)])
+    assert "generated-city comes with slicemask, whose files stay as they are" in result.output
+
+
 def test_it_finds_cameras_in_a_generated_city(tmp_path):
     """A city that it was not trained on: most answers have the right heading."""
     pytest.importorskip("embreex")
