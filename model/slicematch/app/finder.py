@@ -36,7 +36,7 @@ from slicematch.localization.on_map import tile_side
 log = logging.getLogger(__name__)
 
 _OPACITY = 0.75
-_REST_MS = 150
+_REST_MS = 400
 _CONTRIBUTION, _DIFFERENCE = "what it adds", "difference to the answer"
 
 
