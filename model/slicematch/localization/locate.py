@@ -144,6 +144,9 @@ class Located:
         content["failed"] = failures
         return content | {name: str(path) for name, path in files.items() if path is not None}
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self, most: int = 10) -> str:
         """The summary as a few lines of text, with the first of those without an answer."""
         content = self.summary()

@@ -71,6 +71,9 @@ class TrackErrors:
         """As plain values."""
         return asdict(self)
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self) -> str:
         """A line of text."""
         turned = self.heading_median_deg

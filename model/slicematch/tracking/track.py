@@ -70,6 +70,9 @@ class Tracked:
             content["errors"] = self.errors.as_dict()
         return content | {name: str(path) for name, path in self.files.items()}
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self, most: int = 5) -> str:
         """The summary as a few lines of text."""
         content = self.summary()
