@@ -2,9 +2,9 @@
 Your photographs on your map
 ============================
 
-A folder of photographs and an orthophoto: where was each taken, and which way did it look? This page
-asks the run that comes with slicemask, and checks its answers. A generated city stands in for your
-own folder, since its truth is known; with yours, begin at the second step.
+A folder of photographs and an orthophoto: where was each taken, and which way did it look? This
+page asks the run that comes with slicemask, and checks its answers. A generated city stands in for
+your own folder, since its truth is known; with yours, begin at the second step.
 
 It needs ``slicemask[model,maps,synth]``, and takes a minute on a laptop's processor.
 """
