@@ -4,11 +4,12 @@ Shapes: S images, C channels, N slices, B bands of range (1 where there are none
 cells, K poses.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
 from torch._higher_order_ops.scan import scan
+from torch.nn import functional as F  # noqa: N812
 
 from slicematch.export.masks import TABLES
 from slicematch.network.aggregation import unit
@@ -104,8 +105,7 @@ class ScoreGraph(nn.Module):
                 [_pool(columns, mine.T, ground[b::bands], cells[t], weights[t]) for t in tables]
             )  # [masks, N, 2]
             flat = index[:, :, b].long() * slices + torch.arange(slices)
-            taken = found.flatten(0, 1).index_select(0, flat.flatten())
-            taken = taken.unflatten(0, flat.shape)  # [K, N, 2]
+            taken = F.embedding(flat, found.flatten(0, 1))  # [K, N, 2]
             dots.append(taken[..., 0].sum(dim=1))
             present.append(taken[..., 1].sum(dim=1))
         return cosine(
@@ -114,21 +114,28 @@ class ScoreGraph(nn.Module):
 
 
 class BakedScoreGraph(nn.Module):
-    """A `ScoreGraph` that holds its candidates' masks."""
+    """A `ScoreGraph` that holds its candidates' masks.
 
-    def __init__(self, graph: ScoreGraph, index: Tensor, cells: Sequence[Tensor],
-                 weights: Sequence[Tensor]) -> None:  # fmt: skip
+    Parameters
+    ----------
+    graph : ScoreGraph
+        The graph.
+    masks : mapping
+        The arrays of `slicematch.export.masks.MaskTables`, by their names there.
+    """
+
+    def __init__(self, graph: ScoreGraph, masks: Mapping[str, Tensor]) -> None:
         super().__init__()
-        self.graph, self.tables = graph, len(cells)
-        self.register_buffer("index", index)
-        for t in range(self.tables):
-            self.register_buffer(f"cells{t}", cells[t])
-            self.register_buffer(f"weights{t}", weights[t])
+        self.graph, self.tables = graph, len(masks) // 2
+        for name, tensor in masks.items():
+            self.register_buffer(name, tensor)
 
     def forward(self, ground: Tensor, features: Tensor) -> Tensor:
         """Scores [K]; arguments as `ScoreGraph.forward` takes them."""
-        cells = [self.get_buffer(f"cells{t}") for t in range(self.tables)]
-        weights = [self.get_buffer(f"weights{t}") for t in range(self.tables)]
+        cells, weights = (
+            [self.get_buffer(f"{name}{t}") for t in range(self.tables)]
+            for name in ("cells", "weights")
+        )
         return self.graph(ground, features, self.get_buffer("index"), cells, weights)
 
 
@@ -143,11 +150,10 @@ def _pool(columns: Tensor, maps: Tensor, ground: Tensor, cells: Tensor, weights:
         columns = columns * maps
 
     def pool_block(carry: Tensor, block: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        at, share = block[0].long(), block[1][:, None]  # [R, m], [R, 1, m]
-        gathered = columns.index_select(0, at.flatten()).unflatten(0, at.shape)  # [R, m, C]
+        at, share = block[0].long(), block[1].unsqueeze(1)  # [R, m], [R, 1, m]
+        gathered = F.embedding(at, columns)  # [R, m, C]
         if not shared:
-            attention = maps.index_select(0, at.flatten()).unflatten(0, at.shape)
-            share = share * attention.mT  # [R, N, m]
+            share = share * F.embedding(at, maps).transpose(1, 2)  # [R, N, m]
         descriptors = unit(share @ gathered)  # d_a, [R, N or 1, C]
         present = (descriptors != 0).any(dim=-1)
         dots = descriptors[:, 0] @ ground.T if shared else (descriptors * ground).sum(dim=-1)
