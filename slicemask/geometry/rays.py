@@ -17,6 +17,7 @@ and azimuths) take the same path.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import ModuleType
@@ -47,8 +48,9 @@ _WIDEST_DEG = 179.9
 
 
 def sector_fractions(
-    u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, widest_deg: float | None = None
-) -> Any:
+    u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, widest_deg: float | None = None,
+    out: Any = None,
+) -> Any:  # fmt: skip
     """Share of each cell that lies in a sector, for a batch of sectors.
 
     Parameters
@@ -63,6 +65,9 @@ def sector_fractions(
     widest_deg : float, optional
         No sector is wider than this; found from the azimuths if not given, which for a tensor on
         an accelerator waits for its values.
+    out : float64 [B, L, L], optional
+        A NumPy array that NumPy's results are written to. Fresh memory costs as much as the
+        arithmetic.
 
     Returns
     -------
@@ -74,12 +79,12 @@ def sector_fractions(
     sectors = _Sectors(u, v, left_deg, right_deg)
     if u.shape[0] == 0:
         return xp.zeros((0, cells, cells), dtype=u.dtype, device=array_api_compat.device(u))
-    return _fractions(sectors, _Window(0, 0, cells, cells), widest_deg, xp)
+    return _fractions(sectors, _Window(0, 0, cells, cells), widest_deg, xp, out)
 
 
 def banded_fractions(
     u: Any, v: Any, left_deg: Any, right_deg: Any, cells: int, bands: tuple[float, ...],
-    heading_deg: Any = None, widest_deg: float | None = None,
+    heading_deg: Any = None, widest_deg: float | None = None, out: Any = None,
 ) -> Any:  # fmt: skip
     """Share of each cell that lies in each band of a sector, for a batch of sectors.
 
@@ -92,6 +97,8 @@ def banded_fractions(
     heading_deg : array [B], optional
         The azimuth along which range is measured as a depth; without it, range is the distance
         from the camera.
+    out : float64 [B, len(bands) + 1, L, L], optional
+        As `sector_fractions` takes it.
 
     Returns
     -------
@@ -99,7 +106,6 @@ def banded_fractions(
         As `sector_fractions` gives them, which is their sum over the bands.
     """
     xp = _namespace(u)
-    whole = sector_fractions(u, v, left_deg, right_deg, cells, widest_deg)
     if u.shape[0] == 0:
         shape = (0, len(bands) + 1, cells, cells)
         return xp.zeros(shape, dtype=u.dtype, device=array_api_compat.device(u))
@@ -107,7 +113,8 @@ def banded_fractions(
         widest_deg = float(xp.max(right_deg - left_deg))
     sectors = _Sectors(u, v, left_deg, right_deg, heading_deg)
     if xp is np:
-        return _bands_in_place(sectors, whole, bands, widest_deg)
+        return _bands_in_place(sectors, cells, bands, widest_deg, out)
+    whole = sector_fractions(u, v, left_deg, right_deg, cells, widest_deg)
     tile = _Window(0, 0, cells, cells)
     ends = [
         whole
@@ -120,22 +127,29 @@ def banded_fractions(
 
 
 def _bands_in_place(
-    sectors: "_Sectors", whole: Any, bands: tuple[float, ...], widest_deg: float
+    sectors: "_Sectors", cells: int, bands: tuple[float, ...], widest_deg: float, out: Any
 ) -> Any:
     """`banded_fractions` of NumPy arrays: what a circle does not reach is left alone."""
-    count, cells = len(whole), whole.shape[-1]
-    fractions = np.zeros((count, len(bands) + 1, cells, cells))
-    fractions[:, -1] = whole
+    count, tile = len(sectors.u), _Window(0, 0, cells, cells)
+    fractions = np.empty((count, len(bands) + 1, cells, cells)) if out is None else out
+    fractions[:, :-1] = 0.0
+    whole = _fractions(sectors, tile, widest_deg, np, fractions[:, -1])
+    # A band is what lies within its far range, less what lies within its near one: in the order
+    # of the ranges, the band that is next holds all of the slice that is left.
+    if any(range_ >= BEYOND for range_ in bands):
+        whole = whole.copy()
     for band, range_ in enumerate(bands):
-        within, at = whole, ...
-        if range_ < BEYOND:
-            window = _Window(0, 0, cells, cells)
-            if sectors.heading_deg is None:
-                window = _Window.around(sectors.u, sectors.v, range_, cells)
-                at = window.indices(count)
-            within = _fractions(replace(sectors, range=range_), window, widest_deg, np)
-        fractions[:, band][at] += within
-        fractions[:, band + 1][at] -= within
+        if range_ >= BEYOND:
+            fractions[:, band] += whole
+            fractions[:, band + 1] -= whole
+            continue
+        window = tile
+        if sectors.heading_deg is None:
+            window = _Window.around(sectors.u, sectors.v, range_, cells)
+        within = _fractions(replace(sectors, range=range_), window, widest_deg, np)
+        for some, rows, columns in window.pieces(count):
+            fractions[some, band, rows, columns] += within[some]
+            fractions[some, band + 1, rows, columns] -= within[some]
     return fractions
 
 
@@ -185,16 +199,19 @@ class _Window:
         )
         return cls(row, column, size, cells)
 
-    def indices(self, count: int) -> Any:
-        """Index of these cells in an array [count, L, L]."""
+    def pieces(self, count: int) -> Iterator[tuple[slice, slice, slice]]:
+        """Sectors in a row, of so many, that share a window, and its rows and columns."""
         if self.size == self.cells:
-            return ...
-        steps = np.arange(self.size)
-        return (
-            np.arange(count)[:, None, None],
-            (self.row[:, None] + steps)[:, :, None],
-            (self.column[:, None] + steps)[:, None, :],
-        )
+            yield slice(0, count), slice(None), slice(None)
+            return
+        moves = np.flatnonzero(np.diff(self.row) | np.diff(self.column)) + 1
+        for start, stop in pairwise([0, *moves.tolist(), count]):
+            row, column = int(self.row[start]), int(self.column[start])
+            yield (
+                slice(start, stop),
+                slice(row, row + self.size),
+                slice(column, column + self.size),
+            )
 
     def lattices(self, u: Any, xp: ModuleType) -> tuple[Any, Any]:
         """Coordinates of the horizontal and of the vertical lines, [1 or B, size + 1]."""
@@ -204,7 +221,9 @@ class _Window:
         return (self.row[:, None] + steps) / self.cells, (self.column[:, None] + steps) / self.cells
 
 
-def _fractions(sectors: _Sectors, window: _Window, widest_deg: float | None, xp: ModuleType) -> Any:
+def _fractions(
+    sectors: _Sectors, window: _Window, widest_deg: float | None, xp: ModuleType, out: Any = None
+) -> Any:
     """`sector_fractions` of some cells: [B, size, size]."""
     left_deg, right_deg = sectors.left_deg, sectors.right_deg
     # A sector of 180 degrees or more can cut a line twice: cut it into narrower ones.
@@ -216,13 +235,18 @@ def _fractions(sectors: _Sectors, window: _Window, widest_deg: float | None, xp:
     for part in range(1, parts + 1):
         stop_deg = right_deg if part == parts else left_deg + (right_deg - left_deg) * part / parts
         narrow = replace(sectors, left_deg=start_deg, right_deg=stop_deg)
-        share = _narrow(narrow, window, widest_deg / parts, xp)
+        share = _narrow(narrow, window, widest_deg / parts, xp, out if parts == 1 else None)
         fractions = share if fractions is None else fractions + share
         start_deg = stop_deg
+    if out is not None and parts > 1:
+        out[...] = fractions
+        return out
     return fractions
 
 
-def _narrow(sectors: _Sectors, window: _Window, widest_deg: float, xp: ModuleType) -> Any:
+def _narrow(
+    sectors: _Sectors, window: _Window, widest_deg: float, xp: ModuleType, out: Any = None
+) -> Any:
     """`_fractions` of sectors narrower than 180 degrees."""
     u, v = sectors.u, sectors.v
     count, cells = u.shape[0], window.cells
@@ -260,7 +284,9 @@ def _narrow(sectors: _Sectors, window: _Window, widest_deg: float, xp: ModuleTyp
 
     on_numpy, lines = xp is np, window.size + 1
     step = max(1, (_NUMPY_VALUES if on_numpy else _OTHER_VALUES) // lines**2)
-    fractions: Any = np.empty((count, window.size, window.size), u.dtype) if on_numpy else []
+    fractions: Any = out
+    if out is None:
+        fractions = np.empty((count, window.size, window.size), u.dtype) if on_numpy else []
     workspace = _Workspace(along_row, along_column)
     for start in range(0, count, step):
         some = slice(start, min(start + step, count))

@@ -1,0 +1,1 @@
+"""Trained runs as graphs that other runtimes run: ONNX, and torch's own export."""
