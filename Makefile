@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help bank demo quick core lowest test docs linkcheck lint bench constraints clean
+.PHONY: help answer bank demo quick core lowest test docs linkcheck lint bench constraints clean
 
 # What needs neither torch nor trimesh; the rest of the tests needs the extras.
 CORE_TESTS := tests/geometry tests/bank $(wildcard tests/test_*.py)
@@ -14,6 +14,7 @@ QUICK_TESTS := tests/geometry tests/bank $(filter-out tests/test_wheel.py tests/
 
 help:
 	@echo "make bank    build the default bank into masks_cache/ and draw it"
+	@echo "make answer  find the camera of a panorama that comes with slicemask, and draw the answer"
 	@echo "make demo    generate two cities, train on one, find cameras in the other, draw it"
 	@echo "make quick   run the fast tests of geometry, banks and the command (under a minute)"
 	@echo "make core    run all tests that need no torch"
@@ -39,7 +40,7 @@ $(VENV)/.test: $(VENV)/.core
 # torch is asked for by its exact version alone, so that the pinned build is the one taken.
 $(VENV)/.full: $(VENV)/.core
 	$(PIP) "$$(grep '^torch==' constraints.txt)"
-	$(PIP) -e '.[model,weights,cameras,export,maps,dask,synth,app,test,lint,bench]'
+	$(PIP) -e '.[model,weights,cameras,export,maps,drives,dask,synth,app,test,lint,bench]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.full
@@ -49,6 +50,10 @@ $(VENV)/.docs: $(VENV)/.full
 bank: $(VENV)/.core
 	$(BIN)/slicemask build --grid 21x21x64 --hfov 360 --cache masks_cache
 	$(BIN)/slicemask visualize masks_cache/21x21x64_hfov360_n16_l32.h5 --out masks_cache/default.png
+
+answer: $(VENV)/.full
+	@mkdir -p runs
+	$(BIN)/slicemask predict generated-city --example 1 --out runs/answer.png
 
 # Cut short, it goes on where it stopped.
 demo: $(VENV)/.full
@@ -66,7 +71,7 @@ core: $(VENV)/.test
 # In an environment of its own; what only these packages need comes in the newest versions.
 lowest:
 	uv venv --quiet --python $(PYTHON) build/lowest
-	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,cameras,export,maps,dask,synth,app,test]'
+	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,cameras,export,maps,drives,dask,synth,app,test]'
 	build/lowest/bin/python -m pytest -n auto -m "not slow"
 
 test: $(VENV)/.full
@@ -93,7 +98,7 @@ bench: $(VENV)/.full
 # What only builds of torch with CUDA need is left out: other builds do without.
 constraints:
 	$(PYTHON) -m venv --clear build/newest
-	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,export,maps,dask,synth,app,test,docs,lint,bench]'
+	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,export,maps,drives,dask,synth,app,test,docs,lint,bench]'
 	build/newest/bin/python -m pip freeze --exclude-editable > build/newest.txt
 	(head -n 1 constraints.txt && sed 's/+[a-z0-9.]*$$//' build/newest.txt \
 		| grep -v -e '^nvidia' -e '^cuda') > build/constraints.txt

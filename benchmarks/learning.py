@@ -8,11 +8,7 @@ keep their figures.
 """
 
 import json
-import os
-import resource
-import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +18,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.commands import slicemask
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "learning.json"
@@ -102,7 +100,7 @@ TABLES = {"SliceMatch's Table 1": PAPER, "Bands of range": BANDS}
 @click.option("--threads", default=1, show_default=True, help="Of a training.")
 def main(rows: tuple[str, ...], data: str, runs: str, threads: int) -> None:
     """Train and test the ROWS named, or all, and print all that are there."""
-    _slicemask("synth", *CITY, "--out", data)
+    slicemask("synth", *CITY, "--out", data)
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name in rows or ROWS:
         row = ROWS[name]
@@ -120,7 +118,7 @@ def main(rows: tuple[str, ...], data: str, runs: str, threads: int) -> None:
 def _train_and_test(run: Path, data: str, row: Row, seed: str, threads: int) -> None:
     """Train a run and test it, unless that is done."""
     if not (run / "cost.json").exists():
-        cost = _slicemask(
+        cost = slicemask(
             "train", *SHARED, *row.flags, "--seed", seed, "--root", data, "--out", str(run),
             "--resume", threads=threads,
         )  # fmt: skip
@@ -128,20 +126,9 @@ def _train_and_test(run: Path, data: str, row: Row, seed: str, threads: int) -> 
     for refine in row.refines:
         out = run / f"unseen_{refine}"
         if not (out / "result.json").exists():
-            _slicemask(
+            slicemask(
                 "evaluate", str(run), "--root", data, *TEST, "--refine", refine, "--out", str(out)
             )
-
-
-def _slicemask(*arguments: str, threads: int | None = None) -> dict[str, float]:
-    """Run a command; give its wall and processor seconds."""
-    click.echo("slicemask " + " ".join(arguments), err=True)
-    environment = os.environ | ({} if threads is None else {"OMP_NUM_THREADS": str(threads)})
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([sys.executable, "-m", "slicemask", *arguments], check=True, env=environment)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"wall_s": round(time.perf_counter() - start), "processor_s": round(processor)}
 
 
 def _figures(runs: list[Path], row: Row) -> dict[str, Any]:

@@ -16,13 +16,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
+import dask
 import numpy as np
 import rasterio
 import torch
+from distributed import LocalCluster
 from PIL import Image
 from rasterio.transform import from_origin
 from rasterio.warp import transform
 from slicematch import Localizer, TrainConfig, locate
+from slicematch.cluster import WORKER_ENVIRON
 from slicematch.data.maps import AerialMap
 from slicematch.localization.geodesy import offset_position
 from slicematch.runs.folder import RunFolder, build_model
@@ -127,10 +130,17 @@ def rate(folder: Path, run: RunFolder, table: Path, workers: int) -> float:
     def progress(done: int, _: int) -> None:
         seen.append((time.monotonic(), done))
 
-    locate(
-        run.path, [table], folder / "ortho.tif", folder / f"answers{workers}.csv",
-        cache=folder / "banks", device="cpu", dask=str(workers), progress=progress,
-    )  # fmt: skip
+    environ = {"distributed.nanny.pre-spawn-environ": WORKER_ENVIRON}
+    with (
+        dask.config.set(environ),
+        # A thread each, so that two workers have twice what one has.
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+    ):
+        locate(
+            run.path, [table], folder / "ortho.tif", folder / f"answers{workers}.csv",
+            cache=folder / "banks", device="cpu", dask=cluster.scheduler_address,
+            progress=progress,
+        )  # fmt: skip
     # The first parts of all workers wait for their runs to load.
     (start, before), (end, done) = seen[workers + 1], seen[-1]
     return (done - before) / (end - start)

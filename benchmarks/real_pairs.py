@@ -73,11 +73,11 @@ def main(run: str, pairs: Path, draws: int, prior: float | None, refine: Any, gr
                 draw.panorama, draw.tile, heading_prior or (0.0, 180.0),
                 metres_per_pixel=draw.metres_per_pixel,
             )  # fmt: skip
-            found[row["id"]].append(_judge(estimate, draw))
+            found[row["id"]].append(judge(estimate, draw))
             if pictures is not None and k == 0:
                 _save_picture(pictures / f"{row['id']}.png", localizer, estimate, draw)
     figures = summarise(found)
-    Console(width=None if out is None else 120).print(_table(found, figures))
+    Console(width=None if out is None else 120).print(table_of(found, figures))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps({"figures": figures, "pairs": found}, indent=2) + "\n")
@@ -87,7 +87,7 @@ def make_draw(
     row: dict[str, str], folder: Path, side_m: float, random: np.random.Generator
 ) -> Draw:
     """Turn a pair's panorama at random, and cut a tile at random around its camera."""
-    panorama = _whole_sphere(
+    panorama = whole_sphere(
         read_image(folder / row["ground"]), float(row["top_deg"]), float(row["bottom_deg"])
     )
     turn = int(random.integers(panorama.width))
@@ -108,7 +108,7 @@ def make_draw(
     )
 
 
-def _whole_sphere(image: Image.Image, top_deg: float, bottom_deg: float) -> Image.Image:
+def whole_sphere(image: Image.Image, top_deg: float, bottom_deg: float) -> Image.Image:
     """A panorama of all elevations, black where this one shows none."""
     height = image.width // 2
     first, last = (round((90.0 - angle) / 180.0 * height) for angle in (top_deg, bottom_deg))
@@ -122,7 +122,7 @@ def _off(draw: Draw, prior: float, random: np.random.Generator) -> float:
     return float((draw.truth[2] + random.uniform(-prior, prior)) % 360.0)
 
 
-def _judge(estimate: Estimate, draw: Draw) -> dict[str, float]:
+def judge(estimate: Estimate, draw: Draw) -> dict[str, float]:
     """The errors of an answer, and the probability that it gave to being right."""
     side_m = draw.tile.width * draw.metres_per_pixel
     pose = estimate.pose
@@ -172,7 +172,7 @@ def calibration_error(probability: np.ndarray, right: np.ndarray) -> float:
     return float(np.sum(gaps) / len(probability))
 
 
-def _table(found: dict[str, list[dict[str, float]]], figures: dict[str, float]) -> Table:
+def table_of(found: dict[str, list[dict[str, float]]], figures: dict[str, float]) -> Table:
     table = Table("pair", "within 20 deg", "median deg", "median m", "right", "probability")
     for name, draws in found.items():
         column = {key: np.array([draw[key] for draw in draws]) for key in draws[0]}
@@ -198,7 +198,7 @@ def _table(found: dict[str, list[dict[str, float]]], figures: dict[str, float]) 
 
 def _save_picture(path: Path, localizer: Localizer, estimate: Estimate, draw: Draw) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    judged = _judge(estimate, draw)
+    judged = judge(estimate, draw)
     figure = draw_estimate(
         draw.tile,
         estimate.heat_map,

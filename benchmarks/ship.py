@@ -1,27 +1,29 @@
 """How the run that ships was trained: generated places alone, on a processor.
 
 ``python -m benchmarks.ship`` generates places of great variety, trains a small pretrained encoder
-on them, and packs the result. What is there already is not done again, and a training that was cut
-short goes on, so it may take several sittings. Processor time is printed at the end of each step.
+on them, trains on from there on more places, half of them plain, takes the mean of both trainings'
+weights (Wortsman and others, *Robust fine-tuning of zero-shot models*, CVPR 2022), and packs the
+result. What is there already is not done again, and a training that was cut short goes on, so it
+may take several sittings. Processor time is printed at the end of each step.
 """
 
-import os
-import resource
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import click
+import torch
+
+from benchmarks.commands import slicemask
 
 CITY = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
-    "--vary", "all", "--panoramas", "1500", "--places", "30", "--seed", "23",
+    "--vary", "all", "--seed", "23",
 )  # fmt: skip
+VARIED = ("--panoramas", "1500", "--places", "30")
+MIXED = ("--panoramas", "5000", "--places", "100", "--plain-places", "40")
 TRAINING = (
     "--data", "vigor", "--split", "cross-area", "--cities", "NewYork,SanFrancisco",
-    "--epochs", "11", "--learning-rate", "5e-4", "--batch-size", "4", "--schedule", "one-cycle",
-    "--augment", "--validation-fraction", "0.05",
+    "--batch-size", "4", "--schedule", "one-cycle", "--augment", "--validation-fraction", "0.05",
     "--test-grid", "14x14x32", "--heat-map-every", "0", "--workers", "1", "--accelerator", "cpu",
     "--precision", "bf16-mixed", "--seed", "0",
 )  # fmt: skip
@@ -39,24 +41,41 @@ GRID = "21x21x64"
 @click.option("--work", default="runs/ship", show_default=True, help="Where data and runs go.")
 @click.option("--out", default="runs/ship/generated-city", show_default=True, help="Packed run.")
 def main(work: str, out: str) -> None:
-    """Generate, train and pack the run that ships."""
-    data, run = Path(work) / "places", Path(work) / "run"
-    _slicemask("synth", *CITY, "--out", str(data))
-    if not (run / "calibration.json").exists():
-        _slicemask("train", *TRAINING, *NETWORK, "--root", str(data), "--out", str(run), "--resume")
-    _slicemask("calibrate", str(run), "--grid", GRID, "--checkpoint", "last")
+    """Generate, train, average and pack the run that ships."""
+    varied, mixed = Path(work) / "varied", Path(work) / "mixed"
+    first, second, mean = (Path(work) / name for name in ("first", "second", "mean"))
+    _slicemask("synth", *CITY, *VARIED, "--out", str(varied))
+    _train(first, varied, *NETWORK, "--epochs", "11", "--learning-rate", "5e-4")
+    _slicemask("synth", *CITY, *MIXED, "--out", str(mixed))
+    _train(second, mixed, "--init", str(first), "--epochs", "2", "--learning-rate", "2e-4")
+    average(first, second, mean)
+    _slicemask("calibrate", str(mean), "--grid", GRID, "--checkpoint", "last")
     shutil.rmtree(out, ignore_errors=True)
-    _slicemask("pack", str(run), "--checkpoint", "last", "--grid", GRID, "--out", out)
+    _slicemask("pack", str(mean), "--checkpoint", "last", "--grid", GRID, "--out", out)
+
+
+def _train(run: Path, data: Path, *flags: str) -> None:
+    if not (run / "calibration.json").exists():
+        _slicemask("train", *TRAINING, *flags, "--root", str(data), "--out", str(run), "--resume")
+
+
+def average(first: Path, second: Path, mean: Path) -> None:
+    """A copy of the first run whose last weights are the mean of both runs' last ones."""
+    shutil.rmtree(mean, ignore_errors=True)
+    shutil.copytree(first, mean, ignore=shutil.ignore_patterns("best.ckpt", "calibration.json"))
+    ours, theirs = (
+        torch.load(run / "checkpoints" / "last.ckpt", map_location="cpu", weights_only=True)
+        for run in (first, second)
+    )
+    for name, value in ours["state_dict"].items():
+        if value.is_floating_point():
+            value.add_(theirs["state_dict"][name]).div_(2)
+    torch.save(ours, mean / "checkpoints" / "last.ckpt")
 
 
 def _slicemask(*arguments: str) -> None:
     """Run a command on one thread, and say what it cost."""
-    click.echo("slicemask " + " ".join(arguments), err=True)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, "-m", "slicemask", *arguments], check=True, env=environment)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    minutes = (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime) / 60
+    minutes = slicemask(*arguments, threads=1)["processor_s"] / 60
     click.echo(f"{arguments[0]}: {minutes:.1f} minutes of a processor", err=True)
 
 

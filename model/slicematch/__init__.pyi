@@ -9,6 +9,11 @@ from .localization.predict_on_map import predict_on_map as predict_on_map
 from .network.slicematch import SliceMatch as SliceMatch
 from .runs.config import TrainConfig as TrainConfig
 from .scoring.candidates import Candidates as Candidates
+from .tracking.odometry import Odometry as Odometry
+from .tracking.track import track as track
+from .tracking.track_estimate import TrackEstimate as TrackEstimate
+from .tracking.tracker import Tracker as Tracker
+from .tracking.tracker import TrackSettings as TrackSettings
 from .training.train import train as train
 
 __all__: list[str]

@@ -28,7 +28,7 @@ SHIPPED_TILE = Path(__file__).with_name("tile.jpg")
 _START: Pose = (0.66, 0.64, 315.0)
 _OPACITY = 0.5
 # Numbers and code follow the camera once it has rested for so long.
-_REST_MS = 150
+_REST_MS = 400
 
 
 class Explorer:

@@ -6,10 +6,16 @@ from typing import Any
 
 import click
 
+from slicemask.cli.places import Length
+
 
 @click.command()
 @click.argument("run", required=False)
 @click.option("--data", metavar="DIR", help="RUN: data tree of the examples.  [default: the run's]")
+@click.option("--map", "aerial_map", metavar="FILE", help="RUN: cut tiles from this raster.")
+@click.option(
+    "--tile-side", "side_m", type=Length(), help="Of these tiles, as 72m.  [default: the run's]"
+)
 @click.option("--address", default="127.0.0.1", show_default=True, help="Where to listen.")
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=5006, show_default=True, help="0: any free."
@@ -22,7 +28,13 @@ import click
     help="Another name under which browsers reach the page.",
 )
 @click.option("--browser/--no-browser", "show", default=True, help="Open the page.  [default: yes]")
-def app(run: str | None, data: str | None, **options: Any) -> None:
+def app(
+    run: str | None,
+    data: str | None,
+    aerial_map: str | None,
+    side_m: float | None,
+    **options: Any,
+) -> None:
     """Serve a page to look at: slices, or answers of a trained RUN."""
     if importlib.util.find_spec("panel") is None:
         raise click.ClickException(
@@ -30,9 +42,13 @@ def app(run: str | None, data: str | None, **options: Any) -> None:
         )
     if run is None and data is not None:
         raise click.UsageError("--data names examples for a RUN; give one.")
+    if run is None and aerial_map is not None:
+        raise click.UsageError("--map is what a RUN's tiles are cut from; give one.")
+    if aerial_map is None and side_m is not None:
+        raise click.UsageError("--tile-side is of the tiles that are cut from a --map; give one.")
     from slicemask.app.serve import serve
 
-    make_page = _explorer() if run is None else _finder(run, data)
+    make_page = _explorer() if run is None else _finder(run, data, aerial_map, side_m)
     serve(make_page, ready=lambda url: click.echo(f"{url} (Ctrl-C ends it)"), **options)
 
 
@@ -42,7 +58,9 @@ def _explorer() -> Callable[[], Any]:
     return lambda: Explorer().page()
 
 
-def _finder(run: str, data: str | None) -> Callable[[], Any]:
+def _finder(
+    run: str, data: str | None, aerial_map: str | None, side_m: float | None
+) -> Callable[[], Any]:
     from slicemask.cli.output import status_line
     from slicemask.cli.run_options import check_model_installed
 
@@ -50,4 +68,4 @@ def _finder(run: str, data: str | None) -> Callable[[], Any]:
     with status_line("loading the run"):
         from slicematch.app.finder import finder_pages
 
-        return finder_pages(run, data)
+        return finder_pages(run, data, aerial_map, side_m)

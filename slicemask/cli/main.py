@@ -22,7 +22,7 @@ _COMMANDS = {
     "visualize": ("bank", "Draw the slices of a pose."),
     "synth": (
         "synth",
-        "Generate a city with exact poses: VIGOR, KITTI, or a map.",
+        "Generate a city with exact poses: VIGOR, KITTI, a map, or drives.",
     ),
     "table": ("table", "List photographs in a table: of VIGOR, KITTI, or a folder."),
     "train": ("train", "Train SliceMatch; the paper's settings are the defaults."),
@@ -33,6 +33,7 @@ _COMMANDS = {
     "pack": ("pack", "Pack what predicting with a trained RUN takes into a folder."),
     "export": ("export", "Export a RUN as ONNX or torch.export files that other runtimes run."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
+    "track": ("track", "Follow a camera along a drive on a map, with a trained RUN."),
     "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map."),
     "benchmark": ("evaluate", "Time encoding, aggregation and scoring."),
 }

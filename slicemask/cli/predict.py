@@ -26,7 +26,7 @@ _MAP_OPTIONS = {
 
 @click.command()
 @run_options
-@click.option("--ground", required=True, metavar="IMAGE", help="Panorama or camera image.")
+@click.option("--ground", metavar="IMAGE", help="Panorama or camera image.")
 @click.option("--aerial", metavar="IMAGE", help="Square aerial tile, north up; or else a map.")
 @click.option("--metres-per-pixel", type=float, help="Of the aerial tile as it is.")
 @map_option(required=False)
@@ -40,10 +40,26 @@ _MAP_OPTIONS = {
 )
 @click.option("--geojson", metavar="FILE", help="GeoJSON of the pose; needs --centre.")
 @click.option("--out", metavar="FILE", help="Picture of the heat map and the pose: PNG, SVG, PDF.")
+@click.option(
+    "--example", type=int, metavar="N", help="A pair of images that comes with the run, from 1."
+)
 @refine_option
 @as_json_option
-def predict(run: str, ground: str, aerial: str | None, as_json: bool, **options: Any) -> None:
+def predict(
+    run: str,
+    ground: str | None,
+    aerial: str | None,
+    example: int | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
     """Find where a ground image was taken, with a trained RUN."""
+    if example is not None:
+        if (ground, aerial, options["aerial_map"]) != (None, None, None):
+            raise click.UsageError("--example stands for --ground and --aerial; leave them out.")
+        ground, aerial = _take_example(run, example, options)
+    if ground is None:
+        raise click.UsageError("Missing option '--ground', or '--example'.")
     on_map = {name: options.pop(name) for name in _MAP_OPTIONS}
     if aerial is None:
         found = _predict_on_map(run, ground, given_options(on_map), given_options(options))
@@ -69,6 +85,19 @@ def predict(run: str, ground: str, aerial: str | None, as_json: bool, **options:
 
         prediction = predict(run, ground, aerial, progress=say, **given_options(options))
     print_result(as_json, prediction.as_dict(), prediction.report())
+
+
+def _take_example(run: str, number: int, options: dict[str, Any]) -> tuple[str, str]:
+    """The images of a pair that comes with a run; what is known of it goes to the options."""
+    check_model_installed()
+    from slicematch.runs.shipped import shipped_pair
+
+    pair = shipped_pair(run, number)
+    known: dict[str, Any] = {"metres_per_pixel": pair.metres_per_pixel}
+    if options["out"] is not None:
+        known["truth"] = pair.pose
+    options.update({name: value for name, value in known.items() if options[name] is None})
+    return str(pair.ground), str(pair.aerial)
 
 
 def _predict_on_map(

@@ -27,6 +27,7 @@ _OPTIONS = {
     },
     "kitti": {"frames", "image_size"},
     "table": {"panoramas", "panorama_size", "image_size"},
+    "drive": {"drives", "seconds", "rate_hz", "panorama_size"},
 }
 
 
@@ -46,8 +47,15 @@ _OPTIONS = {
     "--label-noise-m", type=float, help="VIGOR: deviation of the labels' errors.  [default: 0]"
 )
 @click.option("--frames", type=int, help="KITTI: frames in all.  [default: 200]")
+@click.option("--drives", type=int, help="Drive: how many.  [default: 1]")
+@click.option("--seconds", type=float, help="Drive: how long each takes.  [default: 60]")
+@click.option("--rate-hz", type=float, help="Drive: frames a second.  [default: 10]")
 @click.option("--seed", type=int, default=0, show_default=True, help="Each is another city.")
-@click.option("--panorama-size", type=ImageSize(), help="VIGOR, table.  [default: 2048x1024]")
+@click.option(
+    "--panorama-size",
+    type=ImageSize(),
+    help="VIGOR, table, drive.  [default: 2048x1024, for drive 512x256]",
+)
 @click.option(
     "--image-size", type=ImageSize(), help="KITTI, table.  [default: 1242x375, for table 640x480]"
 )
@@ -55,14 +63,14 @@ _OPTIONS = {
 @click.option("--jobs", type=int, help="Processes.  [default: all processors]")
 @as_json_option
 def synth(kind: str, out: str, as_json: bool, **options: Any) -> None:
-    """Generate a city with exact poses: VIGOR, KITTI, or a map.
+    """Generate a city with exact poses: VIGOR, KITTI, a map, or drives.
 
     An interrupted command continues where it stopped when it is repeated.
     """
     try:
         generate = getattr(importlib.import_module("slicemask.synth"), f"generate_{kind}")
     except ModuleNotFoundError as error:
-        extras = "synth,maps" if kind == "table" else "synth"
+        extras = "synth,maps" if kind in ("table", "drive") else "synth"
         raise click.ClickException(
             f"slicemask synth needs {error.name}: pip install 'slicemask[{extras}]'"
         ) from error

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from slicemask.errors import SynthError
 from slicemask.synth.formats import table
+from slicemask.synth.formats.map_blocks import write_map
 from slicemask.synth.generate import (
     VERSION,
     Progress,
@@ -89,5 +90,5 @@ def generate_table(
     )
     table.write_tables(root, spec)
     result = run_tasks(root, tasks, jobs, progress)
-    table.write_map(root, spec)
+    write_map(root, spec)
     return result

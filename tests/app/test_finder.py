@@ -2,12 +2,14 @@
 
 import re
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 pytestmark = pytest.mark.slow
+RUN = Path(__file__).parents[1] / "slicematch" / "runs" / "data" / "vigor_run_v1"
 
 
 def _image(rows, columns, name):
@@ -80,3 +82,51 @@ def test_own_images_are_dropped_and_wrong_ones_are_refused(look, finder):
     assert looker.page.get_by_text("From the truth").count() == 0
     assert looker.page.evaluate("document.documentElement.scrollWidth") <= 390
     looker.keep("finder_phone")
+
+
+def test_the_run_that_ships_comes_with_examples(look, serve, tmp_path):
+    """They are answered where its own data tree is not."""
+    looker = look(serve("generated-city", env={"SLICEMASK_CACHE": str(tmp_path)}))
+    assert looker.page.get_by_role("button", name=re.compile("Example")).count() == 3
+    looker.page.get_by_role("button", name="Example 3").click()
+    text = looker.page.get_by_text("From the truth")
+    text.wait_for()
+    metres = float(re.search(r"([\d.]+) m", text.inner_text())[1])
+    assert metres < 5.0
+    looker.wait_until(lambda: any(looker.pose()))
+    looker.keep("generated-city")
+
+
+def test_a_tile_is_cut_from_a_map_around_a_place(look, serve, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    pixels = np.random.default_rng(0).integers(0, 256, (3, 400, 400), dtype=np.uint8)
+    profile = {
+        "driver": "GTiff", "dtype": "uint8", "count": 3, "width": 400, "height": 400,
+        "crs": "EPSG:32631", "transform": rasterio.transform.from_origin(594000, 5762000, 0.5, 0.5),
+    }  # fmt: skip
+    with rasterio.open(tmp_path / "ortho.tif", "w", **profile) as file:
+        file.write(pixels)
+    url = serve(
+        *(str(RUN), "--map", str(tmp_path / "ortho.tif"), "--tile-side", "70m"),
+        env={"SLICEMASK_CACHE": str(tmp_path)},
+    )
+    looker = look(url)
+    looker.page.locator("input[type=file]").first.set_input_files(_image(128, 256, "pano.png"))
+    place = looker.page.get_by_label("Place on the map")
+    for wrong, sentence in (
+        ("here", "'here' is no place; expected latitude and longitude in degrees"),
+        ("10.0, 10.0", "the map"),
+    ):
+        place.fill(wrong)
+        place.press("Enter")
+        looker.page.get_by_text(sentence).wait_for()
+    place.fill(place.get_attribute("placeholder"))
+    place.press("Enter")
+    answer = looker.page.get_by_text(re.compile(r"; latitude \d"))
+    answer.wait_for()
+    lat, lon = map(
+        float, re.search(r"latitude ([\d.]+), longitude ([\d.]+)", answer.inner_text()).groups()
+    )
+    assert (lat, lon) == pytest.approx(
+        tuple(map(float, place.get_attribute("placeholder").split(","))), abs=0.001
+    )

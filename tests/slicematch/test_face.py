@@ -23,8 +23,9 @@ def _python(code):
 def test_public_names():
     # A name taken out of this list breaks somebody's code: do it on purpose, and in a changelog.
     assert slicematch.__all__ == [
-        "Candidates", "Estimate", "Localizer", "PoseDataset", "Priors", "SliceMatch", "TrainConfig",
-        "evaluate", "locate", "predict", "predict_on_map", "train",
+        "Candidates", "Estimate", "Localizer", "Odometry", "PoseDataset", "Priors", "SliceMatch",
+        "TrackEstimate", "TrackSettings", "Tracker", "TrainConfig", "evaluate", "locate", "predict",
+        "predict_on_map", "track", "train",
     ]  # fmt: skip
     assert set(slicematch.__all__) <= set(dir(slicematch))
 
@@ -117,3 +118,16 @@ def test_every_name_is_typed(tmp_path):
     revealed = [line for line in done.stdout.splitlines() if "Revealed type is" in line]
     assert len(revealed) == len(slicematch.__all__), done.stdout + done.stderr
     assert [line for line in revealed if '"Any"' in line] == []
+
+
+def test_results_print_their_report():
+    """`print` of what a function gives says what its command says."""
+    found = [
+        (path, node.name, {part.name for part in node.body if isinstance(part, ast.FunctionDef)})
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    with_report = [one for one in found if "report" in one[2] and one[1] != "BadSampleLog"]
+    assert len(with_report) >= 6
+    assert [one[:2] for one in with_report if "__str__" not in one[2]] == []

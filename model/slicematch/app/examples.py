@@ -1,12 +1,16 @@
-"""Pairs of images to click: some of the test part of a run's data."""
+"""Pairs of images to click: some of the test part of a run's data, or those that come with it."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from PIL import Image
 
+from slicemask.images import read_aerial, read_image
 from slicematch.evaluation.samples import evenly_spaced_indices
 from slicematch.runs.config import TrainConfig
+from slicematch.runs.shipped import shipped_pairs
 
 MOST_EXAMPLES = 6
 # Pixels of the images that are shown; the run takes them in its own sizes.
@@ -36,7 +40,43 @@ class Example:
     metres_per_pixel: float
 
 
-class Examples:
+class Examples(Protocol):
+    """Pairs, counted from 0."""
+
+    def __len__(self) -> int: ...
+
+    def load(self, number: int) -> Example:
+        """Read one example."""
+
+
+class ShippedExamples:
+    """The pairs that come with a run, if any do.
+
+    Parameters
+    ----------
+    run : path
+        A run folder, or the name of a run that ships.
+    """
+
+    def __init__(self, run: str | Path) -> None:
+        self._pairs = shipped_pairs(run)
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def load(self, number: int) -> Example:
+        """Read one example."""
+        pair = self._pairs[number]
+        return Example(
+            pair.name,
+            read_image(pair.ground),
+            read_aerial(pair.aerial),
+            pair.pose,
+            pair.metres_per_pixel,
+        )
+
+
+class DataExamples:
     """Evenly spaced samples of the test part of a run's data.
 
     Parameters

@@ -22,21 +22,30 @@ from slicemask.app.uploads import ImageDropper, read_upload
 from slicemask.errors import AppError, SlicemaskError
 from slicemask.geometry.masks import slice_masks
 from slicemask.images import read_aerial
-from slicematch.app.examples import Examples
+from slicematch.app.examples import DataExamples, Examples, ShippedExamples
 from slicematch.app.ground_view import GroundView, contribution_colours
+from slicematch.app.map_place import MapPlace
 from slicematch.app.match import Match, match
 from slicematch.app.overlays import Overlays
 from slicematch.app.priors import Priors
+from slicematch.data.maps import AerialMap, MapTile
+from slicematch.localization.geodesy import offset_position
 from slicematch.localization.localizer import Localizer
+from slicematch.localization.on_map import tile_side
 
 log = logging.getLogger(__name__)
 
 _OPACITY = 0.75
-_REST_MS = 150
+_REST_MS = 400
 _CONTRIBUTION, _DIFFERENCE = "what it adds", "difference to the answer"
 
 
-def finder_pages(run: str | Path, data: str | None = None) -> Callable[[], Any]:
+def finder_pages(
+    run: str | Path,
+    data: str | None = None,
+    aerial_map: str | Path | None = None,
+    side_m: float | None = None,
+) -> Callable[[], Any]:
     """The function that makes a page on a run for each session.
 
     Parameters
@@ -44,24 +53,36 @@ def finder_pages(run: str | Path, data: str | None = None) -> Callable[[], Any]:
     run : path
         A run folder; sessions share what is loaded of it.
     data : path, optional
-        A data tree with examples to click; by default the run's, if it is there.
+        A data tree with examples to click; by default those that come with the run, or else its
+        data tree's, if it is there.
+
+    aerial_map : path, optional
+        A georeferenced raster, which tiles can be cut from.
+    side_m : float, optional
+        Side of these tiles on the ground, metres; by default that of the run's.
 
     Raises
     ------
     RunError, BankError
         If the run or its bank of candidates cannot be loaded.
+    ConfigError, MapError
+        If tiles of the map are none for this run, or the map cannot be read.
     DatasetError
         If the data that were named cannot be read.
     """
     localizer = Localizer.load(run)
-    examples = None
+    examples: Examples = ShippedExamples(run)
     try:
-        examples = Examples(localizer.config, data)
+        if data is not None or not examples:
+            examples = DataExamples(localizer.config, data)
     except SlicemaskError as error:
         if data is not None:
             raise
         log.info("no examples to click: %s", error)
-    return lambda: Finder(localizer, examples).page()
+    opened = None
+    if aerial_map is not None:
+        opened = AerialMap.open(aerial_map), tile_side(localizer.config, side_m)
+    return lambda: Finder(localizer, examples, opened).page()
 
 
 class Finder:
@@ -71,12 +92,23 @@ class Finder:
     ----------
     localizer : Localizer
         Of the run.
-    examples : Examples or None
-        Pairs to click.
+    examples : Examples
+        Pairs to click; there may be none.
+    aerial_map : (AerialMap, float), optional
+        What tiles can be cut from, and their side in metres.
     """
 
-    def __init__(self, localizer: Localizer, examples: Examples | None) -> None:
+    def __init__(
+        self,
+        localizer: Localizer,
+        examples: Examples,
+        aerial_map: tuple[AerialMap, float] | None = None,
+    ) -> None:
         self.localizer, self._examples = localizer, examples
+        self.map_place: MapPlace | None = None
+        if aerial_map is not None:
+            self.map_place = MapPlace(*aerial_map, self._cut_tile, self._say)
+        self.centre: tuple[float, float] | None = None  # of the tile, where a map gave it
         self.ground: Image.Image | None = None
         self.tile: Image.Image | None = None
         self.truth: Pose | None = None
@@ -128,7 +160,8 @@ class Finder:
         right = pn.Column(
             self.notice.panel, self.answer, self.modes, self.said, self.ground_view.picture,
             self.ground_view.bars, self.coloured_by, self.pose_controls.panel(),
-            self.ground_dropper, self.tile_dropper, self.resolution, **stretch,
+            self.ground_dropper, *([] if self.map_place is None else [self.map_place.field]),
+            self.tile_dropper, self.resolution, **stretch,
         )  # fmt: skip
         return page(
             left, right, subtitle="Where was the camera, and why there? A run's answers.",
@@ -137,33 +170,46 @@ class Finder:
 
     def _example_buttons(self) -> Any:
         buttons = pn.FlexBox(sizing_mode="stretch_width")
-        for number in range(len(self._examples or ())):
+        for number in range(len(self._examples)):
             button = pn.widgets.Button(name=f"Example {number + 1}", width=104, **OUTLINED)
             button.on_click(lambda event, number=number: self._choose_example(number))
             buttons.append(button)
         return buttons
 
     def _choose_example(self, number: int) -> None:
-        if self._examples is None:
-            return
         try:
             example = self._examples.load(number)
         except SlicemaskError as error:
             self.notice.show(str(error))
             return
         self.ground, self.tile, self.truth = example.ground, example.tile, example.pose
+        self.centre = None
         self.priors.clear()
-        self._choosing = True
-        self.resolution.value = round(example.metres_per_pixel, 6)
-        self._choosing = False
+        self._set_resolution(example.metres_per_pixel)
         self._find()
+
+    def _set_resolution(self, metres_per_pixel: float) -> None:
+        self._choosing = True
+        self.resolution.value = round(metres_per_pixel, 6)
+        self._choosing = False
+
+    def _cut_tile(self, tile: MapTile) -> None:
+        """Take a tile of the map."""
+        self.tile, self.centre = Image.fromarray(tile.image), (tile.lat, tile.lon)
+        self._set_resolution(tile.metres_per_pixel)
+        self._dropped()
+
+    def _say(self, sentence: str) -> None:
+        self.notice.show(sentence)
 
     def _dropped_ground(self, event: Any) -> None:
         self.ground = self._read(self.ground_dropper, self.localizer.read_ground) or self.ground
         self._dropped()
 
     def _dropped_tile(self, event: Any) -> None:
-        self.tile = self._read(self.tile_dropper, read_aerial) or self.tile
+        dropped = self._read(self.tile_dropper, read_aerial)
+        if dropped is not None:
+            self.tile, self.centre = dropped, None
         self._dropped()
 
     def _dropped(self) -> None:
@@ -240,9 +286,17 @@ class Finder:
         self.ground_view.show_image(found.ground)
         self.overlays.show(estimate)
         self.overlays.show_truth(self.truth)
-        self.answer.object = f"<b>Answer:</b> {estimate}{self._error_text(found)}"
+        self.answer.object = (
+            f"<b>Answer:</b> {estimate}{self._position_text(found)}{self._error_text(found)}"
+        )
         self.modes[:] = [self._mode_button(number) for number in range(len(estimate.modes))]
         self.view.move_to(_as_pose(estimate.pose))
+
+    def _position_text(self, found: Match) -> str:
+        if self.centre is None or not self.resolution.value:
+            return ""
+        lat, lon = offset_position(self.centre, *found.estimate.offset_m(self.resolution.value))
+        return f"; latitude {lat:.7f}, longitude {lon:.7f}"
 
     def _error_text(self, found: Match) -> str:
         if self.truth is None:

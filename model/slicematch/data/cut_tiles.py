@@ -51,6 +51,9 @@ class CutTiles:
         """The same as plain values, for JSON."""
         return {**self.__dict__, "table": str(self.table)}
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self, most: int = 10) -> str:
         """The same as a few lines of text."""
         lines = [f"{self.rows:,} photographs in {self.tiles:,} tiles: {self.table}"]

@@ -34,6 +34,10 @@ _NUMBERS: dict[str, tuple[float, float, str]] = {
 }
 _TEXTS = ("id", "ground", "tile", "camera", "split")
 COLUMNS = (*_TEXTS, *_NUMBERS)
+# What a table of frames has besides, for `slicematch.tracking`.
+DRIVE_COLUMNS = (
+    "time_s", "speed_mps", "yaw_rate_dps", "gnss_lat", "gnss_lon", "gnss_accuracy_m",
+)  # fmt: skip
 PARTS = ("train", "validation", "test")
 # What other tables call these columns.
 _MEANT = {
@@ -230,7 +234,7 @@ def _split(file: TableFile) -> list[str] | None:
 def _warn_of_names(file: TableFile) -> None:
     """Warn of columns that are not read and almost surely meant to be."""
     for name in file.columns:
-        if name in COLUMNS:
+        if name in COLUMNS or name in DRIVE_COLUMNS:
             continue
         meant = [_MEANT[name]] if name in _MEANT else difflib.get_close_matches(name, COLUMNS, 1)
         if meant and meant[0] not in file.columns:

@@ -25,15 +25,17 @@ from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.metrics import nearest_candidates
 from slicematch.evaluation.samples import ChosenSamples, evenly_spaced_indices
 from slicematch.localization.localizer import Localizer
-from slicematch.runs.config import check_workers
+from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 
 # Temperatures that are tried: from scores that settle everything to scores that settle nothing.
 _LEAST, _MOST = 1e-4, 10.0
 # Samples that a temperature is fitted to and scores of theirs that are kept (200 MB), at most.
 MOST_SAMPLES = 1000
 MOST_SCORES = 50_000_000
-# With fewer samples than this, a temperature is a guess.
+# With fewer samples than this, a temperature is a guess, and is held near what it would be without
+# them: a few answers that happen to be right would make all probabilities 1.
 FEW_SAMPLES = 30
 
 
@@ -199,7 +201,9 @@ def calibrate(
     content : dict
         What was written: the temperature, the mean negative log-likelihood ("nll") of the true
         candidates under it and under the loss's tau, and what it was fitted to; with fewer than
-        30 samples also a "caution".
+        30 samples also a "caution": the temperature is then the geometric mean, weighed by
+        their number, of the one that fits them and of the one of the run that training started
+        from (or the loss's tau).
 
     Raises
     ------
@@ -208,6 +212,11 @@ def calibrate(
     ConfigError, DatasetError
         If the run has no validation part, or its data cannot be read.
     """
+    if find_run(run) != Path(run):
+        raise ConfigError(
+            f"{run} comes with slicemask, whose files stay as they are; copy the folder "
+            f"{find_run(run)}, and calibrate the copy"
+        )
     folder = RunFolder(Path(run))
     config = folder.load_config()
     workers = check_workers(config.workers if workers is None else workers)
@@ -256,10 +265,13 @@ def calibrate(
     if read == 0:
         raise ConfigError(f"{run}: none of the {len(chosen)} validation samples can be read")
     scores, truths = scores[:read], truths[:read]
-    temperature, nll = fit_temperature(scores, truths)
+    temperature, _ = fit_temperature(scores, truths)
+    if read < FEW_SAMPLES:
+        expected = _expected_temperature(config)
+        temperature = temperature ** (read / FEW_SAMPLES) * expected ** (1 - read / FEW_SAMPLES)
     content = {
         "temperature": temperature,
-        "nll": nll,
+        "nll": mean_nll(scores, truths, temperature),
         "nll_of_tau": mean_nll(scores, truths, config.tau),
         "samples": read,
         "grid": str(localizer.grid),
@@ -267,9 +279,23 @@ def calibrate(
     }
     if read < FEW_SAMPLES:
         content["caution"] = (
-            f"fitted to only {read} validation samples; probabilities are rough with fewer than "
-            f"{FEW_SAMPLES}: set more aside for validation in training"
+            f"fitted to only {read} validation samples, and held near {expected:.4g}, which "
+            f"{'the loss' if config.init is None else config.init} has; probabilities are rough "
+            f"with fewer than {FEW_SAMPLES}: set more aside for validation in training"
         )
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_text(folder.calibration_file, text, RunError)
     return content
+
+
+def _expected_temperature(config: TrainConfig) -> float:
+    """What a temperature is before any sample is seen: that of the run it started from, or tau."""
+    if config.init is not None:
+        start = RunFolder(find_run(config.init))
+        try:
+            fitted = start.load_calibration(start.load_config())
+        except RunError:  # the run may be gone since
+            fitted = None
+        if fitted is not None:
+            return fitted.temperature
+    return config.tau

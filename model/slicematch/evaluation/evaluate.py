@@ -38,6 +38,7 @@ from slicematch.precision import Precision
 from slicematch.priors import count_outside
 from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 
 
 def evaluate(
@@ -267,7 +268,7 @@ def _measure_on_dask(
 
 
 def _weights(settings: dict[str, Any]) -> str:
-    return digest(RunFolder(Path(settings["run"])).checkpoint(settings["checkpoint"]))
+    return digest(RunFolder(find_run(settings["run"])).checkpoint(settings["checkpoint"]))
 
 
 def _evaluation(

@@ -78,6 +78,9 @@ class Evaluation:
             "calibration": self.calibration.summary(),
         }
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self) -> str:
         """The figures as a few lines of text."""
         errors, oracle = self.errors.summary(self.recalls), self.oracle.summary()

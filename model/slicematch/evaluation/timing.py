@@ -71,6 +71,9 @@ class Timings:
         """All figures by name."""
         return {**asdict(self), "frames_per_second": self.frames_per_second}
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self) -> str:
         """The figures as a few lines of text."""
         stages = (

@@ -26,6 +26,7 @@ from slicematch.localization.refinement import DEFAULT, Refine
 from slicematch.parts import Parts, Row, digest, import_pyarrow, run_parts, split_groups
 from slicematch.precision import Precision
 from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
 
 log = logging.getLogger(__name__)
 
@@ -143,6 +144,9 @@ class Located:
         content["failed"] = failures
         return content | {name: str(path) for name, path in files.items() if path is not None}
 
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self, most: int = 10) -> str:
         """The summary as a few lines of text, with the first of those without an answer."""
         content = self.summary()
@@ -242,7 +246,7 @@ def locate(
     import_pyarrow()
     priors = priors or Priors()
     target = _check_targets(out, picture, overwrite)
-    config = RunFolder(Path(run)).load_config()
+    config = RunFolder(find_run(run)).load_config()
     step_m = lattice_step(tile_side(config, side_m), shared_m)
     opened = AerialMap.open(aerial_map, map_crs)  # the likeliest slips, before anything is loaded
     found = find_photos(photos, priors.near)
@@ -271,7 +275,7 @@ def locate(
         "call": None,
         "settings": {k: v for k, v in settings.items() if k not in ("device", "cache")},
         "version": __version__,
-        "weights": digest(RunFolder(Path(run)).checkpoint(checkpoint)),
+        "weights": digest(RunFolder(find_run(run)).checkpoint(checkpoint)),
         "temperature": localizer.temperature,
         "photographs": digest([photo.as_dict() for photo in found]),
     }

@@ -12,6 +12,7 @@ from slicematch.localization.on_map import MapAnswer, PlaceOnGlobe, place_prior,
 from slicematch.localization.photos import Photo, Priors, photo_of
 from slicematch.localization.predict import Prediction, predict
 from slicematch.runs.folder import RunFolder
+from slicematch.runs.shipped import find_run
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def predict_on_map(
     priors = priors or Priors()
     if answers is not None:
         check_answers_target(answers)
-    config = RunFolder(Path(run)).load_config()
+    config = RunFolder(find_run(run)).load_config()
     side_m = tile_side(config, side_m)
     opened = AerialMap.open(aerial_map, map_crs)
     photo = _photo(ground, priors)

@@ -35,6 +35,7 @@ DATES = ("2011_09_26", "2011_09_28")
 LATITUDE, LONGITUDE = 49.015, 8.42
 METRES_PER_DEGREE = 111_320.0
 FRAME_STEP_M = 4.0
+FRAME_STEP_S = 0.4  # so that cars drive at 10 m/s: KITTI's frames are 0.1 s apart
 MOST_FRAMES = 20  # of a drive
 # About the fractions that LM's files have.
 TRAIN_FRACTION, TEST1_FRACTION = 0.64, 0.12
@@ -243,17 +244,25 @@ def write_records(root: Path, spec: KittiSpec) -> None:
     """Write a city's oxts and calibration files, and its split files."""
     plan = plan_drives(spec)
     east_m = METRES_PER_DEGREE * np.cos(np.radians(LATITUDE))
-    for frame, gps, heading_deg in zip(plan.frames, plan.gps, plan.headings_deg, strict=True):
+    speeds = _speeds(plan)
+    for frame, gps, heading_deg, speed in zip(
+        plan.frames, plan.gps, plan.headings_deg, speeds, strict=True
+    ):
         # Radians, 0 east, counter-clockwise, in [-pi, pi).
         yaw = np.radians((90.0 - heading_deg + 180.0) % 360.0 - 180.0)
         latitude = LATITUDE + gps[1] / METRES_PER_DEGREE
         longitude = LONGITUDE + gps[0] / east_m
-        # latitude, longitude, altitude, roll, pitch, yaw; then speeds and accuracies, all still.
-        fields = [latitude, longitude, 112.8, 0.0, 0.0, yaw] + [0.0] * 17
+        # latitude, longitude, altitude, roll, pitch, yaw; then speeds, accelerations (none), and
+        # how fast the car turns: about its upright axis alone.
+        north, east, forward, left, turning = speed
+        fields = [latitude, longitude, 112.8, 0.0, 0.0, yaw, north, east, forward, left, 0.0]
+        fields += [0.0] * 6 + [0.0, 0.0, turning, 0.0, 0.0, turning]
         text = " ".join(f"{value:.13f}" for value in fields)
         path = ground_path(root, frame)
         oxts = path.parents[2] / "oxts" / "data" / f"{path.stem}.txt"
         write_text(oxts, f"{text} 0.05 0.01 4 10 4 4 0\n")
+    for folder, count in _counts(plan).items():
+        write_text(root / "raw_data" / folder / "oxts" / "timestamps.txt", _times(count))
     columns, rows = spec.image_size
     focal = spec.focal_pixels
     matrix = [focal, 0, columns / 2, 0, 0, focal, HORIZON_ROW * rows / ROWS, 0, 0, 0, 1, 0]
@@ -275,3 +284,43 @@ def write_records(root: Path, spec: KittiSpec) -> None:
                 for frame, (sx, sy, theta) in zip(frames, draws, strict=True)
             ]
         write_text(root / f"{name}_files.txt", "".join(line + "\n" for line in lines))
+
+
+def _counts(plan: KittiPlan) -> dict[str, int]:
+    """How many frames each drive has."""
+    counts: dict[str, int] = {}
+    for frame in plan.frames:
+        drive = frame.rsplit("/", 1)[0]
+        counts[drive] = counts.get(drive, 0) + 1
+    return counts
+
+
+def _times(count: int) -> str:
+    """The times of a drive's frames, one a line, at noon."""
+    lines = []
+    for number in range(count):
+        seconds = number * FRAME_STEP_S
+        lines.append(f"2011-09-26 12:{int(seconds // 60):02d}:{seconds % 60:012.9f}\n")
+    return "".join(lines)
+
+
+def _speeds(plan: KittiPlan) -> NDArray[np.float64]:
+    """Speeds to the north, east, ahead and left, m/s, and yaw rates, rad/s: float64 [F, 5].
+
+    They are means between the frames before and after, or between one of these and the frame, as
+    places and headings change; of a drive of one frame they are 0.
+    """
+    found = np.zeros((len(plan.frames), 5))
+    first = 0
+    for count in _counts(plan).values():
+        part = slice(first, first + count)
+        first += count
+        if count == 1:
+            continue
+        angle = np.unwrap(np.radians(plan.headings_deg[part]))
+        east, north = np.gradient(plan.gps[part], FRAME_STEP_S, axis=0).T
+        sin, cos = np.sin(angle), np.cos(angle)
+        turning = -np.gradient(angle, FRAME_STEP_S)
+        ahead, left = east * sin + north * cos, north * sin - east * cos
+        found[part] = np.stack([north, east, ahead, left, turning], axis=1)
+    return found

@@ -17,19 +17,17 @@ from numpy.typing import NDArray
 
 from slicemask.synth.formats.exif import photograph_exif
 from slicemask.synth.formats.files import is_complete, write_picture, write_text
-from slicemask.synth.formats.geotiff import Ground, is_map
+from slicemask.synth.formats.geotiff import Ground
+from slicemask.synth.formats.map_blocks import MapTask, map_tasks
 from slicemask.synth.formats.vigor import CAMERA_HEIGHT_M, CITIES, VigorSpec, plan_city
-from slicemask.synth.render.cameras import Aerial, Panorama, Pinhole
+from slicemask.synth.render.cameras import Panorama, Pinhole
 from slicemask.synth.render.grade import Grade
 from slicemask.synth.render.light import Light
 from slicemask.synth.render.render import render
 from slicemask.synth.render.scene import Scene, View, build_scene
 
-MAP_FILE = "map.tif"
-PARTS_FOLDER = ".map"  # pieces of the map, until they are put together
 # Ground around the outermost tiles of VIGOR's format, so that tiles can be cut off their centres.
 MARGIN_M = 25.0
-BLOCK_PIXELS = 1024
 PHONE_HEIGHT_M = 1.65
 # Of pinhole images 640 pixels wide: their focal length, and how far the principal point is off.
 WIDTH, FOCAL_PIXELS, OFF_CENTRE_PIXELS = 640, 500.0, 40.0
@@ -62,6 +60,19 @@ class TableSpec:
     def city(self) -> VigorSpec:
         """The same city in VIGOR's format."""
         return VigorSpec(self.seed, 0, self.panoramas, self.panorama_size, self.tile_size)
+
+    def random(self, *what: int) -> np.random.Generator:
+        """Random numbers of a part of the city."""
+        return self.city.random(*what)
+
+    def map_ground(self) -> tuple[Ground, int]:
+        """The map's place on Earth, and its side in pixels."""
+        plan = plan_photographs(self)
+        return plan.ground, plan.map_pixels
+
+    def aerial_scene(self) -> Scene:
+        """What the map shows."""
+        return _scene(self.city, "aerial")
 
     @property
     def scale(self) -> float:
@@ -209,61 +220,9 @@ class PhotographTask:
         )
 
 
-@dataclass(frozen=True)
-class MapTask:
-    """Renders one block of the map."""
-
-    root: Path
-    spec: TableSpec
-    row: int
-    column: int
-
-    images = 1
-
-    @property
-    def path(self) -> Path:
-        """The block's file, until the map is put together."""
-        return self.root / PARTS_FOLDER / f"{self.row}_{self.column}.png"
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns: less than a block's at the map's southern and eastern edges."""
-        left = plan_photographs(self.spec).map_pixels - BLOCK_PIXELS * np.array(
-            [self.row, self.column]
-        )
-        rows, columns = np.minimum(left, BLOCK_PIXELS).tolist()
-        return rows, columns
-
-    def run(self) -> int:
-        """Write the block unless it or the map is complete; give the number of images written."""
-        plan, city = plan_photographs(self.spec), self.spec.city
-        rows, columns = self.shape
-        done = is_map(self.root / MAP_FILE, plan.map_pixels)
-        if done or is_complete(self.path, (columns, rows)):
-            return 0
-        rng = city.random(3)  # the pictures from above are of one day
-        light, grade = Light.draw(rng, aerial=True), Grade.draw(rng)
-        # Which pixels get more rays depends on their neighbours: a pixel of those around the block.
-        metres, half_m = city.metres_per_pixel, plan.ground.half_side_m
-        corner = (
-            -half_m + (self.column * BLOCK_PIXELS - 1) * metres,
-            half_m - (self.row * BLOCK_PIXELS - 1) * metres,
-        )
-        camera = Aerial(corner, metres, (rows + 2, columns + 2))
-        image = render(_scene(city, "aerial"), camera, light)[1:-1, 1:-1]
-        write_picture(self.path, grade.apply(image, city.random(9, self.row, self.column)))
-        return 1
-
-
 def photograph_path(root: Path, kind: str, number: int) -> Path:
     """The file of a photograph."""
     return root / kind / f"{number:05d}.jpg"
-
-
-def map_tasks(root: Path, spec: TableSpec) -> list[MapTask]:
-    """The tasks that render the map."""
-    blocks = range(-(-plan_photographs(spec).map_pixels // BLOCK_PIXELS))
-    return [MapTask(root, spec, row, column) for row in blocks for column in blocks]
 
 
 def list_tasks(root: Path, spec: TableSpec) -> list[MapTask | PhotographTask]:
@@ -274,19 +233,6 @@ def list_tasks(root: Path, spec: TableSpec) -> list[MapTask | PhotographTask]:
         for number in range(spec.panoramas)
     ]
     return [*map_tasks(root, spec), *photographs]
-
-
-def write_map(root: Path, spec: TableSpec) -> None:
-    """Put the map together from its blocks, and remove them."""
-    plan, tasks = plan_photographs(spec), map_tasks(root, spec)
-    path = root / MAP_FILE
-    if not is_map(path, plan.map_pixels):
-        places = [(task.row * BLOCK_PIXELS, task.column * BLOCK_PIXELS) for task in tasks]
-        plan.ground.write_map(path, plan.map_pixels, [task.path for task in tasks], places)
-    for task in tasks:
-        task.path.unlink(missing_ok=True)
-    if (root / PARTS_FOLDER).exists():
-        (root / PARTS_FOLDER).rmdir()
 
 
 def write_tables(root: Path, spec: TableSpec) -> None:

@@ -31,7 +31,7 @@ class Camera(Protocol):
 
 @dataclass(frozen=True)
 class Panorama:
-    """An equirectangular camera with north at the centre column, as in VIGOR.
+    """An equirectangular camera, as in VIGOR.
 
     Parameters
     ----------
@@ -41,12 +41,15 @@ class Panorama:
         Rows go from the zenith to the nadir.
     pitch_deg, roll_deg
         By which the camera is not level: up to the north, and down to the east.
+    heading_deg
+        Of the centre column, clockwise from north, of a level camera; VIGOR's face north.
     """
 
     position: tuple[float, float, float]
     shape: tuple[int, int]
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
+    heading_deg: float = 0.0
 
     @property
     def _tilt(self) -> Floats | None:
@@ -63,6 +66,7 @@ class Panorama:
     def rays(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
         """Origins and unit directions, float64 [n, 3] each, of pixels' rays."""
         azimuth = 2 * np.pi * (np.asarray(column) / self.shape[1] - 0.5)
+        azimuth = azimuth + np.radians(self.heading_deg)
         elevation = np.pi * (0.5 - np.asarray(row) / self.shape[0])
         level = np.cos(elevation)
         directions = [level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation)]
@@ -81,7 +85,8 @@ class Panorama:
         if self._tilt is not None:
             offset = offset @ self._tilt
         x, y, z = offset.T
-        column = (np.arctan2(x, y) / (2 * np.pi) + 0.5) * self.shape[1]
+        azimuth = np.arctan2(x, y) - np.radians(self.heading_deg)
+        column = (azimuth / (2 * np.pi) + 0.5) % 1.0 * self.shape[1]
         row = (0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * self.shape[0]
         return row, column
 

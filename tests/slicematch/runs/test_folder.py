@@ -108,6 +108,8 @@ def test_training_fits_a_temperature_on_the_validation_part(config, tmp_path, ca
     assert content["nll"] <= content["nll_of_tau"]
     assert Localizer.load(run, cache=cache).temperature == content["temperature"]
     assert content["caution"].startswith("fitted to only 2 validation samples")
+    # Held near the loss's tau of 0.1, however the two turn out: any fit lies in [1e-4, 10].
+    assert 0.1 * (1e-4 / 0.1) ** (2 / 30) <= content["temperature"] <= 0.1 * 100 ** (2 / 30)
     result = CliRunner().invoke(main, ["calibrate", str(run), "--cache", str(cache)])
     assert "caution: fitted to only 2 validation samples" in result.stdout
     # Fitted again later it is the same, to another grid another one.

@@ -1,0 +1,280 @@
+"""Scores around a belief: candidates that follow it, and scores of poses between them.
+
+The masks of a banded model cost some milliseconds a pose in closed form, too long for hundreds of
+particles ten times a second. So they are computed once, for candidates 0.75 m and 5.6 degrees apart
+in the middle of a tile (a bank, kept in the cache), of which each frame scores the few around the
+belief, every one or every second of them, as the belief is narrow or wide. Particles between
+candidates get a spline's value. A search scores coarse candidates of the whole tile.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from torch import Tensor
+
+from slicemask import PoseGrid, build_bank
+from slicematch.localization.localizer import Localizer, load_candidates
+from slicematch.localization.tiles import AerialTile
+from slicematch.scoring.candidates import Candidates
+from slicematch.scoring.plan import Masks, PoolingPlan, SharedPlan, plan_pooling, take_rows
+from slicematch.scoring.scores import score_candidates
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.intp]
+
+# The share of a tile's side that fine candidates cover, in its middle.
+FINE_SHARE = 0.5
+FINE_GRID, COARSE_GRID = (48, 48, 64), (14, 14, 32)
+# Places along each side, and headings, that are scored around a belief at most.
+MOST_PLACES, MOST_HEADINGS = 11, 33
+LEAST_REACH = 2  # candidates to each side, for the spline
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Scores on a regular part of a grid.
+
+    Attributes
+    ----------
+    scores : float32 [rows, columns, headings]
+    first : (v, u, heading_deg)
+        Of its first candidate.
+    steps : (v, u, heading_deg)
+        From one to the next.
+    round : bool
+        Whether the headings go all the way round.
+    """
+
+    scores: NDArray[np.float32]
+    first: tuple[float, float, float]
+    steps: tuple[float, float, float]
+    round: bool
+
+    def at(self, poses: Floats) -> Floats:
+        """Scores of poses [P, 3] (u, v, heading_deg) between them, by cubic splines.
+
+        Beyond the edge a score is that of the edge.
+        """
+        row = (poses[:, 1] - self.first[0]) / self.steps[0]
+        column = (poses[:, 0] - self.first[1]) / self.steps[1]
+        turned = (poses[:, 2] - self.first[2]) % 360.0
+        scores, count = self.scores, self.scores.shape[2]
+        if self.round:
+            around = 3  # of the other end, for the spline
+            scores = np.concatenate([scores[..., -around:], scores, scores[..., :around]], axis=2)
+            heading = turned / self.steps[2] + around
+        else:
+            middle = (count - 1) / 2 * self.steps[2]
+            turned = (turned - middle + 180.0) % 360.0 - 180.0 + middle
+            heading = turned / self.steps[2]
+        at = [
+            np.clip(axis, 0, size - 1)
+            for axis, size in zip((row, column, heading), scores.shape, strict=True)
+        ]
+        return np.asarray(map_coordinates(scores, at, np.float64, order=3, mode="nearest"))
+
+
+@dataclass(frozen=True)
+class _Window(Candidates):
+    """Some candidates of a `FineCandidates`, whose masks are laid out place by place.
+
+    Attributes
+    ----------
+    fine : FineCandidates
+    chosen : (int [p], int [h])
+        The places and headings.
+    """
+
+    fine: "FineCandidates"
+    chosen: tuple[Integers, Integers]
+
+    @cached_property
+    def shared_plans(self) -> list[SharedPlan]:
+        """As `Candidates.shared_plans`, from what each place keeps."""
+        return self.fine.shared_plans(*self.chosen)
+
+    @cached_property
+    def plans(self) -> list[PoolingPlan]:
+        """As `Candidates.plans`."""
+        return [plan_pooling(index, self.masks) for index in self.fine.indices(*self.chosen)]
+
+
+class FineCandidates:
+    """All candidates of a grid, of which windows are taken frame by frame.
+
+    Parameters
+    ----------
+    candidates : Candidates
+        Of a whole grid.
+    grid : PoseGrid
+        That grid.
+    """
+
+    def __init__(self, candidates: Candidates, grid: PoseGrid) -> None:
+        self.grid, self.cells = grid, candidates.cells
+        self.device = candidates.index.device
+        rows, columns, headings = grid.shape
+        slices, bands = candidates.index.shape[1:]
+        self.masks: Masks = candidates.masks
+        self._poses = candidates.poses.reshape(rows * columns, headings, 3)
+        index = candidates.index.view(rows * columns, headings, slices, bands)
+        self._bands: list[tuple[Tensor, Tensor, Tensor]] = []
+        for band in range(bands):
+            used, starts, slots = [], [0], []
+            for place in index[..., band].unbind():
+                distinct, slot = torch.unique(place, return_inverse=True)
+                used.append(distinct.int())
+                starts.append(starts[-1] + len(distinct))
+                slots.append(slot.short())
+            ends = torch.tensor(starts, device=self.device)
+            self._bands.append((torch.cat(used), ends, torch.stack(slots)))
+        self._slices = slices
+
+    def window(self, places: Integers, headings: Integers) -> Candidates:
+        """The candidates of some places [p] (row * C + column), and of some headings [h] there."""
+        poses = self._poses[places][:, headings].reshape(-1, 3)
+        bands = len(self._bands)
+        return _Window(
+            poses=poses,
+            index=torch.empty(0, self._slices, bands, dtype=torch.long, device=self.device),
+            masks=self.masks,
+            cells=self.cells,
+            shape=(len(poses),),
+            grid_index=torch.arange(len(poses)),
+            fine=self,
+            chosen=(places, headings),
+        )
+
+    def shared_plans(self, places: Integers, headings: Integers) -> list[SharedPlan]:
+        """How the masks of some places are pooled, band by band, where slices share attention."""
+        numbers = torch.arange(self._slices, device=self.device)
+        at, turned = (torch.from_numpy(some).to(self.device) for some in (places, headings))
+        plans = []
+        for used, starts, slots in self._bands:
+            first, counts = starts[at], starts[at + 1] - starts[at]
+            before = torch.cumsum(counts, 0) - counts
+            rows = torch.arange(int(counts.sum()), device=self.device)
+            chosen = used[rows + torch.repeat_interleave(first - before, counts)].long()
+            lengths = self.masks[0][chosen + 1] - self.masks[0][chosen]
+            slot = slots[at][:, turned].long() + before[:, None, None]
+            slot = (slot * self._slices + numbers).flatten(0, 1)
+            plans.append(SharedPlan(take_rows(self.masks, chosen, int(lengths.sum())), slot))
+        return plans
+
+    def indices(self, places: Integers, headings: Integers) -> list[Tensor]:
+        """The masks of some places, int64 [p * h, N] for each band."""
+        at, turned = (torch.from_numpy(some).to(self.device) for some in (places, headings))
+        return [
+            used[starts[at][:, None, None] + slots[at][:, turned].long()].long().flatten(0, 1)
+            for used, starts, slots in self._bands
+        ]
+
+
+class LocalScorer:
+    """Scores of encoded ground images around beliefs and in whole tiles.
+
+    Parameters
+    ----------
+    localizer : Localizer
+        A run whose slices share one attention map, or not; the former is faster.
+    cache : path, optional
+        The folder of banks.
+    """
+
+    def __init__(self, localizer: Localizer, cache: str | Path | None = None) -> None:
+        self.localizer = localizer
+        frustum, cells = localizer.frustum, localizer.model.cells
+        low, high = (1 - FINE_SHARE) / 2, (1 + FINE_SHARE) / 2
+        fine = PoseGrid(*FINE_GRID, extent=(low, low, high, high))
+        grids = fine, PoseGrid(*COARSE_GRID)
+        banks = [build_bank(grid, frustum, cells, cache=cache).path for grid in grids]
+        loaded = [load_candidates(bank, frustum, cells) for bank in banks]
+        (every, self.fine_grid), (coarse, self.coarse_grid) = loaded
+        self.coarse = coarse.to(localizer.device)
+        self.fine = FineCandidates(every.to(localizer.device), self.fine_grid)
+
+    def whole(self, ground: Tensor, tile: AerialTile) -> Volume:
+        """Scores of coarse candidates of a whole tile."""
+        scores = self._scores(ground, tile, self.coarse)
+        return _volume(scores.reshape(COARSE_GRID), self.coarse_grid, (0, 0, 0), (1, 1), True)
+
+    def around(self, ground: Tensor, tile: AerialTile, pose: Floats, spread: Floats) -> Volume:
+        """Scores of fine candidates around a pose.
+
+        Parameters
+        ----------
+        ground : float [1, N * B, C]
+            d_g^{n,b}.
+        tile : AerialTile
+        pose : float64 [3]
+            u, v, heading_deg.
+        spread : float64 [3]
+            How far from it scores are needed, in the same units; beyond what the fine candidates
+            cover, and what can be scored in a frame's time, there are none.
+        """
+        grid = self.fine_grid
+        step = grid.u[1] - grid.u[0]
+        stride = _stride(max(spread[0], spread[1]) / step, MOST_PLACES)
+        rows = _along((pose[1] - grid.v[0]) / step, spread[1] / step, stride, len(grid.v))
+        columns = _along((pose[0] - grid.u[0]) / step, spread[0] / step, stride, len(grid.u))
+        count, step_deg = grid.headings, 360.0 / grid.headings
+        turn = _stride(spread[2] / step_deg, MOST_HEADINGS)
+        reach = max(LEAST_REACH, int(np.ceil(spread[2] / step_deg / turn)))
+        wanted = min(2 * reach + 1, count // turn)
+        first_heading = (round(pose[2] / step_deg / turn) - wanted // 2) * turn
+        headings = first_heading + turn * np.arange(wanted)
+        places = (rows[:, None] * grid.shape[1] + columns).ravel()
+        scores = self._scores(ground, tile, self.fine.window(places, headings % count))
+        return _volume(
+            scores.reshape(len(rows), len(columns), wanted),
+            grid,
+            (int(rows[0]), int(columns[0]), int(first_heading)),
+            (stride, turn),
+            wanted * turn == count,
+        )
+
+    def _scores(
+        self, ground: Tensor, tile: AerialTile, candidates: Candidates
+    ) -> NDArray[np.float32]:
+        with torch.inference_mode():
+            attention = self.localizer.model.attend(tile.features, ground)
+            scored = score_candidates(ground, tile.features, attention, candidates)
+        return np.asarray(scored[0].float().cpu().numpy())
+
+
+def _stride(reach: float, most: int) -> int:
+    """Every which candidate is scored, so that so far to both sides at most so many are."""
+    stride = 1
+    while 2 * np.ceil(reach / stride) + 1 > most:
+        stride *= 2
+    return stride
+
+
+def _along(middle: float, reach: float, stride: int, size: int) -> Integers:
+    """Which of an axis's values lie so far around one, those that there are."""
+    steps = max(LEAST_REACH, int(np.ceil(reach / stride)))
+    at = round(min(max(middle, 0.0), size - 1.0)) + stride * np.arange(-steps, steps + 1)
+    return np.asarray(at[(at >= 0) & (at < size)])
+
+
+def _volume(
+    scores: NDArray[np.float32],
+    grid: PoseGrid,
+    first: tuple[int, int, int],
+    strides: tuple[int, int],
+    all_round: bool,
+) -> Volume:
+    stride, turn = strides
+    step, step_deg = float(grid.u[1] - grid.u[0]), 360.0 / grid.headings
+    row, column, heading = first
+    return Volume(
+        scores,
+        (float(grid.v[row]), float(grid.u[column]), heading * step_deg),
+        (stride * step, stride * step, turn * step_deg),
+        all_round,
+    )

@@ -1,0 +1,393 @@
+"""A tracker: a Bayes filter over place and heading that follows a camera on a map."""
+
+import logging
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from slicemask.errors import ImageError
+from slicemask.images import Picture
+from slicematch.data.maps import AerialMap
+from slicematch.errors import ConfigError
+from slicematch.localization.localizer import Localizer
+from slicematch.localization.on_map import PlaceOnGlobe, tile_side
+from slicematch.tracking.hypotheses import Hypothesis, merged, normalised
+from slicematch.tracking.local_scores import LocalScorer
+from slicematch.tracking.odometry import BIAS, HEADING, SCALE, MotionNoise, Odometry, move
+from slicematch.tracking.searching import Searcher
+from slicematch.tracking.tiles import TrackTiles
+from slicematch.tracking.track_estimate import TrackEstimate, TrackMode
+
+log = logging.getLogger(__name__)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """How a tracker goes about it.
+
+    Attributes
+    ----------
+    particles, other_particles : int
+        Of the likeliest hypothesis, and of each other one.
+    independent_m : float
+        Scores of neighbouring frames are wrong alike, for they see the same street in the same
+        map. A frame counts as the share of this way that the camera has gone since the last one,
+        so that an ellipse holds what it says.
+    standing : float
+        What a frame counts at least, for a camera that stands.
+    outliers : float
+        How likely a place is at least, against the best one, whatever its score: how often an
+        image says nothing of its place.
+    registration_m : float
+        What no number of frames averages out, for it is the same along a street: how far a map lies
+        off the ground, and a model's answers off the truth. It is added to the covariance of
+        estimates, as a standard deviation to the east and to the north.
+    search_s, doubt_search_s : float
+        How often the whole tile is searched for better places, and how often where the belief is
+        in doubt.
+    lost_per_s : float
+        How likely it is that the belief is lost in a second, before an image is seen: what better
+        places weigh at first follows by Bayes' rule.
+    ahead_s : float
+        How long before the camera comes there a tile is encoded.
+    noise : MotionNoise
+        How far off odometry is.
+    seed : int
+        The same images and the same seed give the same answers.
+    """
+
+    particles: int = 300
+    other_particles: int = 100
+    independent_m: float = 8.0
+    standing: float = 0.01
+    outliers: float = 0.05
+    registration_m: float = 0.45
+    search_s: float = 1.0
+    doubt_search_s: float = 0.5
+    lost_per_s: float = 0.1
+    ahead_s: float = 3.0
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.particles, self.other_particles) < 10:
+            raise ConfigError(
+                f"there are {self.particles} and {self.other_particles} particles; each must be 10 "
+                "or more"
+            )
+        for name in ("independent_m", "search_s", "doubt_search_s", "ahead_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"{name} is {value:g}; it must be above 0")
+
+
+# In doubt are beliefs whose likeliest hypothesis is less likely than this.
+SURE = 0.9
+# Beyond this much of a gap the motion between two frames is anybody's guess.
+LONGEST_GAP_S = 10.0
+# Particles' spread around a mean that scores are needed for, in standard deviations.
+DEVIATIONS = 2.5
+# A cloud wider than this, in shares of the tile's side, is scored by coarse candidates.
+WIDE_SHARE = 1 / 10
+
+
+class Tracker:
+    """Follows a camera on a map, frame by frame.
+
+    Parameters
+    ----------
+    localizer : Localizer
+        A run on tiles with north up.
+    aerial_map : AerialMap
+        Of the drive.
+    start : PlaceOnGlobe
+        Where it begins: a fix, with `within_m` its accuracy, the distance that about two in three
+        of such fixes are off by less; without it, anywhere in the tile around the place.
+    heading : (centre, deviation), optional
+        What is known of the heading at the start, degrees; by default nothing.
+    side_m : float, optional
+        Side of the tiles on the ground; the run's own by default.
+    settings : TrackSettings, optional
+    cache : path, optional
+        The folder of banks.
+
+    Raises
+    ------
+    ConfigError
+        If the run's tiles are turned with the camera, or a setting is invalid.
+    BankError
+        If the bank of candidates can neither be read nor written.
+
+    Notes
+    -----
+    Each step predicts by odometry, weighs particles by the scores of candidates around them, and
+    resamples. Now and then the whole tile is searched, and what is found away from all hypotheses
+    becomes one more (`slicematch.tracking.hypotheses`).
+
+    Examples
+    --------
+    ::
+
+        with Tracker(localizer, AerialMap.open("map.tif"), PlaceOnGlobe(40.75, -73.99, 20)) as it:
+            for image, speed, yaw_rate in frames:
+                estimate = it.step(image, Odometry(speed, yaw_rate), dt_s=0.1)
+                print(estimate.lat, estimate.lon, estimate.heading_deg)
+    """
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        aerial_map: AerialMap,
+        start: PlaceOnGlobe,
+        heading: tuple[float, float] | None = None,
+        side_m: float | None = None,
+        settings: TrackSettings | None = None,
+        cache: str | Path | None = None,
+    ) -> None:
+        self.localizer = localizer
+        self.settings = settings or TrackSettings()
+        self.start, self.start_heading = start, heading
+        self.scorer = LocalScorer(localizer, cache)
+        self.tiles = TrackTiles(
+            localizer, aerial_map, (start.lat, start.lon), tile_side(localizer.config, side_m)
+        )
+        self.temperature = localizer.temperature
+        self.rng = np.random.default_rng(self.settings.seed)
+        self.searcher = Searcher(self.scorer, self.tiles, self.temperature, self.rng)
+        self.hypotheses: list[Hypothesis] = []
+        self.time_s = 0.0
+        self._odometry = Odometry(0.0)
+        self._way_m = 0.0  # since the last image that was used
+        self._searched_s, self._search_due_s = 0.0, self.settings.doubt_search_s
+        self._doubt = False
+        self._notes: list[str] = []
+
+    def __enter__(self) -> "Tracker":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def odometry(self) -> Odometry:
+        """The motion of the last step."""
+        return self._odometry
+
+    def close(self) -> None:
+        """End the thread that encodes tiles."""
+        self.tiles.close()
+
+    def step(
+        self,
+        image: Picture | None,
+        odometry: Odometry | None = None,
+        dt_s: float = 0.0,
+        note: str = "",
+    ) -> TrackEstimate:
+        """Go on by one frame.
+
+        Nothing that a frame may lack ends the drive: an image that is missing or unreadable,
+        odometry that is missing or not finite, a clock that stands still or runs backwards, a map
+        that ends. The belief then goes on with what is left, grows wider, and the estimate's notes
+        say so.
+
+        Parameters
+        ----------
+        image : path, PIL image, uint8 [height, width, 3], or None
+            As `Localizer.localize` takes it; None if there is none at this time.
+        odometry : Odometry, optional
+            The mean motion since the last step; without it the last one is taken to go on, about.
+        dt_s : float
+            Since the last step, seconds; at the first step it says nothing.
+        note : str
+            Why there is no image, for the estimate's notes.
+
+        Returns
+        -------
+        TrackEstimate
+        """
+        self._notes = []
+        first = not self.hypotheses
+        odometry, dt_s = self._checked(odometry, dt_s, first)
+        if note:
+            self._say(note)
+        self.time_s += dt_s
+        if not first and dt_s > 0:
+            self._predict(odometry, dt_s)
+        seen = self._look(image)
+        self.hypotheses = normalised(merged(self.hypotheses))
+        self._resample()
+        if seen:
+            self._way_m = 0.0
+        self._encode_ahead()
+        return self._estimate(seen)
+
+    def _checked(
+        self, odometry: Odometry | None, dt_s: float, first: bool
+    ) -> tuple[Odometry | None, float]:
+        if odometry is not None and not odometry.finite:
+            self._say("the odometry is not finite, so that the last motion is taken to go on")
+            odometry = None
+        if first:
+            return odometry, 0.0
+        if odometry is None and not self._notes:
+            self._say("there is no odometry, so that the last motion is taken to go on")
+        if not (math.isfinite(dt_s) and dt_s > 0):
+            self._say(f"the clock went on by {dt_s:g} s, so that no time is taken to have passed")
+            return odometry, 0.0
+        if dt_s > LONGEST_GAP_S:
+            self._say(f"nothing came for {dt_s:.4g} s")
+        return odometry, float(dt_s)
+
+    def _predict(self, odometry: Odometry | None, dt_s: float) -> None:
+        noise = self.settings.noise
+        self.hypotheses = [
+            replace(one, states=move(one.states, odometry, self._odometry, dt_s, noise, self.rng))
+            for one in self.hypotheses
+        ]
+        if odometry is not None:
+            self._odometry = odometry
+        self._way_m += abs(self._odometry.speed_mps) * dt_s
+        # A turn shows other things too.
+        turned = abs(self._odometry.yaw_rate_dps) * dt_s / 90.0
+        self._way_m += turned * self.settings.independent_m
+
+    def _look(self, image: Picture | None) -> bool:
+        """Weigh the belief by an image; whether there was one."""
+        ground = None
+        if image is not None:
+            try:
+                ground = self.localizer.encode_ground(image)
+            except ImageError as error:
+                self._say(f"the image is not used: {error}")
+        if not self.hypotheses:
+            self._begin(ground)
+            return ground is not None
+        if ground is None:
+            return False
+        share = min(1.0, max(self._way_m / self.settings.independent_m, self.settings.standing))
+        scores = [self._scores(ground, one) for one in self.hypotheses]
+        best = max((float(some.max()) for some in scores if some is not None), default=0.0)
+        if any(some is None for some in scores):
+            self._say("the map ends here, so that the belief goes on by odometry alone")
+        weighed = []
+        for one, some in zip(self.hypotheses, scores, strict=True):
+            if some is None:  # no more likely than a place that looks otherwise
+                some = np.full(len(one.weights), -math.inf)
+            after, evidence = one.weighed(share * np.log(self._likelihood(some, best)))
+            weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
+        belief = [
+            (one.probability * one.weights, some)
+            for one, some in zip(self.hypotheses, scores, strict=True)
+            if some is not None
+        ]
+        self.hypotheses = normalised(weighed)
+        if self.time_s >= self._search_due_s and belief:
+            self._search(ground, belief)
+        return True
+
+    def _scores(self, ground: Tensor, one: Hypothesis) -> Floats | None:
+        """Scores [P] of a hypothesis's particles; None where there is no map."""
+        mean, spread = one.mean(), np.sqrt(np.diag(one.covariance()))
+        tile = self.tiles.at(mean[0], mean[1])
+        if tile is None:
+            return None
+        poses = tile.poses(one.states[:, :3])
+        middle = tile.poses(mean[None])[0]
+        reach = DEVIATIONS * spread / [tile.side_m, tile.side_m, 1.0]
+        if max(reach[0], reach[1]) > DEVIATIONS * WIDE_SHARE:
+            return self.scorer.whole(ground, tile.encoded).at(poses)
+        return self.scorer.around(ground, tile.encoded, middle, reach).at(poses)
+
+    def _begin(self, ground: Tensor | None) -> None:
+        """The first belief: what the first image says within what is known of the place."""
+        settings = self.settings
+        count = settings.other_particles if ground is not None else 4 * settings.particles
+        started = self.searcher.begin(
+            ground, self.start.within_m, self.start_heading, count, settings.noise
+        )
+        self.hypotheses = normalised(merged(started))
+        if ground is None:
+            self._say("there is no first image, so that the belief is what was known before")
+
+    def _search(self, ground: Tensor, belief: list[tuple[Floats, Floats]]) -> None:
+        """Look for other places; what they weigh depends on how well the image suits the belief.
+
+        Bayes' rule for "the belief is lost, and the camera is anywhere in the tile": its evidence
+        is the mean likelihood over the tile, against that over the particles before the image.
+        """
+        settings, best = self.settings, self.hypotheses[0]
+        search = self.searcher.search(
+            ground, self.hypotheses, self._doubt, settings.other_particles, settings.noise
+        )
+        if search is not None:
+            weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
+            most = max(float(scores.max()), float(search.scores.max()))
+            lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
+            lost *= float(self._likelihood(search.scores.astype(np.float64), most).mean())
+            kept = (1.0 - lost) * float(weights @ self._likelihood(scores, most) / weights.sum())
+            lost /= lost + kept
+            self.hypotheses = [
+                *(
+                    replace(one, probability=one.probability * (1 - lost))
+                    for one in self.hypotheses
+                ),
+                *(replace(one, probability=one.probability * lost) for one in search.found),
+            ]
+        self._doubt = best.probability < SURE or (search is not None and not search.agrees)
+        pause_s = settings.doubt_search_s if self._doubt else settings.search_s
+        self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
+
+    def _likelihood(self, scores: Floats, most: float) -> Floats:
+        """How likely places are by their scores, against the best one."""
+        return np.asarray(np.exp((scores - most) / self.temperature) + self.settings.outliers)
+
+    def _resample(self) -> None:
+        settings = self.settings
+        for number, one in enumerate(self.hypotheses):
+            count = settings.other_particles if number else settings.particles
+            if len(one.weights) != count or one.effective() < count / 2:
+                self.hypotheses[number] = one.resampled(count, self.rng)
+
+    def _encode_ahead(self) -> None:
+        best = self.hypotheses[0].mean()
+        way_m = self._odometry.speed_mps * self.settings.ahead_s
+        angle = math.radians(best[HEADING])
+        self.tiles.ahead(best[0] + way_m * math.sin(angle), best[1] + way_m * math.cos(angle))
+
+    def _estimate(self, seen: bool) -> TrackEstimate:
+        modes = []
+        least = np.diag([self.settings.registration_m**2] * 2 + [0.0])
+        for one in self.hypotheses:
+            east_m, north_m, heading_deg = one.mean().tolist()
+            lat, lon = self.tiles.globe(east_m, north_m)
+            heading_deg = (heading_deg - self.tiles.turn_deg(lat, lon)) % 360.0
+            modes.append(
+                TrackMode(
+                    lat,
+                    lon,
+                    heading_deg,
+                    one.covariance() + least,
+                    one.probability,
+                    east_m,
+                    north_m,
+                )
+            )
+        best = self.hypotheses[0]
+        return TrackEstimate(
+            self.time_s,
+            tuple(modes),
+            seen,
+            tuple(dict.fromkeys(self._notes)),
+            float(best.weights @ best.states[:, SCALE]),
+            float(best.weights @ best.states[:, BIAS]),
+        )
+
+    def _say(self, note: str) -> None:
+        self._notes.append(note)

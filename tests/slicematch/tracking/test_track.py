@@ -1,0 +1,151 @@
+"""Whole drives with a tiny run: what is written, and what becomes of a drive that lacks things."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+from slicematch.data.maps import AerialMap
+from slicematch.errors import ConfigError
+from slicematch.localization.geodesy import offset_position
+from slicematch.localization.on_map import PlaceOnGlobe
+from slicematch.tracking.odometry import Odometry
+from slicematch.tracking.tracker import Tracker, TrackSettings
+
+from slicemask.cli.main import main
+
+pytest.importorskip("rasterio")
+FRAMES, STEP_S, SPEED_MPS = 12, 0.5, 8.0
+SETTINGS = TrackSettings(particles=50, other_particles=20)
+
+
+def places(mapped):
+    """A straight way north through the map's middle."""
+    south, west, north, east = AerialMap.open(mapped.map).bounds()
+    centre = (south + north) / 2, (west + east) / 2
+    return [offset_position(centre, 0.001, SPEED_MPS * STEP_S * k - 24.0) for k in range(FRAMES)]
+
+
+@pytest.fixture(scope="module")
+def drive(mapped, tmp_path_factory):
+    """A table of frames, with one image missing, one clock that stuck and one broken sensor."""
+    folder = tmp_path_factory.mktemp("drive")
+    photos = sorted(mapped.folder.iterdir())
+    lines = ["time_s,ground,speed_mps,yaw_rate_dps,gnss_lat,gnss_lon,lat,lon,heading_deg"]
+    for k, (lat, lon) in enumerate(places(mapped)):
+        image = "missing.jpg" if k == 4 else photos[k % len(photos)]
+        time_s = STEP_S * (k - 1 if k == 6 else k)
+        speed = "nan" if k in (8, 9) else SPEED_MPS
+        fix = f"{lat},{lon}" if k == 0 else ","
+        lines.append(f"{time_s},{image},{speed},0,{fix},{lat},{lon},0")
+    (folder / "drive.csv").write_text("\n".join(lines) + "\n")
+    return folder / "drive.csv"
+
+
+@pytest.fixture
+def track(run, cache, mapped, drive, tmp_path):
+    """Run the command; give its result."""
+
+    def call(*arguments, out="track.csv", drive=drive):
+        options = ["--drive", drive, "--map", mapped.map, "--out", tmp_path / out]
+        options += ["--cache", cache, "--device", "cpu", *arguments]
+        return CliRunner().invoke(main, ["track", str(run), *map(str, options)])
+
+    return call
+
+
+def test_a_drive_goes_on_whatever_it_lacks_and_says_so(track, tmp_path):
+    found = track("--json", "--picture", tmp_path / "track.png", "--animation", tmp_path / "a.gif")
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    rows = list(csv.DictReader((tmp_path / "track.csv").open()))
+    assert len(rows) == content["frames"] == FRAMES
+    assert content["seen"] == FRAMES - 1
+    assert "the image is missing" in rows[4]["notes"]
+    assert "the clock went on by 0 s" in rows[6]["notes"]
+    assert "odometry" in rows[9]["notes"]
+    assert rows[1]["notes"] == ""
+    assert set(content["errors"]) >= {"place_median_m", "wrong_street", "inside_ellipse"}
+    assert all(math.isfinite(float(row["cov_ee"])) for row in rows)
+    for name in ("track.png", "a.gif"):
+        assert np.asarray(Image.open(tmp_path / name).convert("L")).std() > 5
+
+
+def test_the_same_drive_gives_the_same_track_and_smoothing_another(track, tmp_path):
+    assert track(out="a.tum").exit_code == 0
+    assert track(out="b.tum").exit_code == 0
+    assert (tmp_path / "a.tum").read_bytes() == (tmp_path / "b.tum").read_bytes()
+    smoothed = track("--smooth", "--json", out="c.tum")
+    assert smoothed.exit_code == 0, smoothed.output
+    assert json.loads(smoothed.stdout)["smoothed"]
+    assert (tmp_path / "c.tum").read_bytes() != (tmp_path / "a.tum").read_bytes()
+
+
+def test_a_drive_without_a_fix_needs_its_place(track, drive, mapped, tmp_path):
+    lines = drive.read_text().splitlines()
+    kept = [line.split(",") for line in lines]
+    bare = tmp_path / "bare.csv"
+    bare.write_text("\n".join(",".join(cells[:4]) for cells in kept) + "\n")
+    found = track(drive=bare)
+    assert found.exit_code != 0
+    assert "holds no fix, so that nobody knows where it begins" in found.output
+    assert not (tmp_path / "track.csv").exists()
+    lat, lon = places(mapped)[0]
+    assert track("--near", f"{lat},{lon}", drive=bare).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--out", "track.xyz"], "its suffix is .xyz"),
+        (["--picture", "track.bmp"], "its suffix is .bmp"),
+        (["--animation", "track.mp4"], "its suffix is .mp4"),
+        (["--map", "none.tif"], "none.tif: there is no such file"),
+        (["--drive", "none.csv"], "none.csv: there is no such file"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(track, arguments, said):
+    found = track(*arguments)
+    assert found.exit_code != 0
+    assert said in found.output
+    assert "Traceback" not in found.output
+
+
+def test_where_the_map_ends_odometry_goes_on(localizer, cache, mapped):
+    opened = AerialMap.open(mapped.map)
+    north = opened.bounds()[2]
+    lon = places(mapped)[0][1]
+    with Tracker(
+        localizer, opened, PlaceOnGlobe(north, lon, 5.0), (0.0, 5.0), settings=SETTINGS, cache=cache
+    ) as tracker:
+        photo = sorted(mapped.folder.iterdir())[0]
+        start = tracker.step(photo)
+        for _ in range(10):
+            last = tracker.step(photo, Odometry(20.0), 1.0)
+    assert "the map ends here, so that the belief goes on by odometry alone" in last.notes
+    assert last.modes[0].north_m - start.modes[0].north_m > 100.0
+    assert last.covariance[1, 1] > start.covariance[1, 1]
+
+
+def test_without_images_the_belief_grows_and_without_time_it_stays(localizer, cache, mapped):
+    opened = AerialMap.open(mapped.map)
+    start = PlaceOnGlobe(*places(mapped)[0], 5.0)
+    with Tracker(localizer, opened, start, (0.0, 5.0), settings=SETTINGS, cache=cache) as tracker:
+        tracker.step(None)
+        near = tracker.step(None, Odometry(10.0), 1.0)
+        same = tracker.step(None, Odometry(10.0), -1.0)
+        far = tracker.step(None, Odometry(10.0), 8.0)
+    assert not near.seen
+    np.testing.assert_allclose(same.covariance, near.covariance, rtol=0.3)
+    assert "the clock went on by -1 s" in same.notes[0]
+    assert far.covariance[0, 0] > near.covariance[0, 0]
+
+
+def test_settings_are_checked():
+    with pytest.raises(ConfigError, match="there are 5 and 100 particles; each must be 10 or more"):
+        TrackSettings(particles=5)
+    with pytest.raises(ConfigError, match="search_s is 0; it must be above 0"):
+        TrackSettings(search_s=0.0)
