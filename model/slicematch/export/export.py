@@ -190,7 +190,9 @@ def _write_all(
     with torch.no_grad():
         encoded = [encoders[part](torch.from_numpy(example[part])) for part in encoders]
         scores = model.score(encoded[0], encoded[1], localizer.candidates)[0].numpy()
-    _write_scores(ScoreGraph(model).eval(), encoded, tables, baked, folder / names["scores"], format)
+    _write_scores(
+        ScoreGraph(model).eval(), encoded, tables, baked, folder / names["scores"], format
+    )
     step()
     np.savez_compressed(
         folder / "candidates.npz",

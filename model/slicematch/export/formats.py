@@ -63,7 +63,7 @@ def write(
     """
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the exporter's own house
-        dims = {axis: torch.export.Dim.DYNAMIC for axis in range(8)}
+        dims = dict.fromkeys(range(8), torch.export.Dim.DYNAMIC)
         shapes = [{axis: dims[axis] for axis in axes} for _, _, axes in inputs]
         program = torch.export.export(
             graph,

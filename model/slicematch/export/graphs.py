@@ -126,7 +126,7 @@ class BakedScoreGraph(nn.Module):
 
     def __init__(self, graph: ScoreGraph, masks: Mapping[str, Tensor]) -> None:
         super().__init__()
-        self.graph, self.tables = graph, len(masks) // 2
+        self.scores, self.tables = graph, len(masks) // 2
         for name, tensor in masks.items():
             self.register_buffer(name, tensor)
 
@@ -136,7 +136,7 @@ class BakedScoreGraph(nn.Module):
             [self.get_buffer(f"{name}{t}") for t in range(self.tables)]
             for name in ("cells", "weights")
         )
-        return self.graph(ground, features, self.get_buffer("index"), cells, weights)
+        return self.scores(ground, features, self.get_buffer("index"), cells, weights)
 
 
 def _pool(columns: Tensor, maps: Tensor, ground: Tensor, cells: Tensor, weights: Tensor) -> Tensor:
@@ -144,7 +144,6 @@ def _pool(columns: Tensor, maps: Tensor, ground: Tensor, cells: Tensor, weights:
 
     ``columns`` [L * L, C], ``maps`` [L * L, N or 1], ``ground`` [N, C].
     """
-
     shared = maps.shape[1] == 1
     if shared:
         columns = columns * maps

@@ -16,9 +16,7 @@ Variant = Literal["fp16", "int8"]
 _HALF = {"Conv", "Relu", "Clip", "MaxPool"}
 
 
-def write_variant(
-    source: Path, target: Path, variant: Variant, images: NDArray[np.uint8]
-) -> None:
+def write_variant(source: Path, target: Path, variant: Variant, images: NDArray[np.uint8]) -> None:
     """Write an encoder's ONNX file again, in fewer bits.
 
     Parameters
