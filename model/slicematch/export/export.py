@@ -194,14 +194,14 @@ def _write_all(
         ScoreGraph(model).eval(), encoded, tables, baked, folder / names["scores"], format
     )
     step()
-    np.savez_compressed(
-        folder / "candidates.npz",
-        poses=localizer.candidates.poses,
-        **({} if baked else tables.arrays()),
-    )
-    np.savez_compressed(folder / "example.npz", **example, scores=scores)
+    masks: dict[str, Any] = {} if baked else tables.arrays()
+    kept: dict[str, dict[str, Any]] = {
+        "candidates.npz": {"poses": localizer.candidates.poses, **masks},
+        "example.npz": {**example, "scores": scores},
+    }
+    for name, arrays in kept.items():
+        np.savez_compressed(folder / name, **arrays)
 
-    masks = {} if baked else tables.arrays()
     files = {part: read(folder / name) for part, name in names.items()}
     differences = {
         part: _difference(part, files[part]({"images": example[part]}), wanted.numpy())

@@ -76,9 +76,7 @@ def test_files_answer_as_pytorch_does(exported, run, cache):
     sizes = {"ground": content["ground_size"], "aerial": [content["aerial_size"]] * 2}
     pixels = {k: rng.integers(0, 256, (1, *size, 3), np.uint8) for k, size in sizes.items()}
     mean, std = (torch.tensor(x)[:, None, None] for x in localizer.config.normalisation())
-    images = [
-        (torch.from_numpy(x).permute(0, 3, 1, 2) / 255 - mean) / std for x in pixels.values()
-    ]
+    images = [(torch.from_numpy(x).permute(0, 3, 1, 2) / 255 - mean) / std for x in pixels.values()]
     with torch.no_grad():
         wanted = localizer.model(*images, localizer.candidates)[0].numpy()
     files = {part: read(out / content["files"][part]) for part in ("ground", "aerial", "scores")}
