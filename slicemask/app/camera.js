@@ -1,9 +1,10 @@
 // Moves the camera on a tile by pointer, touch and keys, and asks the server for what it sees.
 //
-// The camera itself moves here, at once. One question is under way at a time: the next one leaves
-// when the answer has come, so that nothing queues up however fast the pointer moves.
+// The camera itself moves here, at once. Two questions are under way at most, so that one is computed
+// while the other's answer is drawn, and nothing queues up however fast the pointer moves.
 
 const STEP = 0.01, STEP_DEG = 1, FINER = 0.1, COARSER = 10
+const AT_ONCE = 2
 const PATIENCE_MS = 2000 // after this, an answer is taken for lost
 
 function install(view) {
@@ -17,7 +18,7 @@ function install(view) {
 
   function send() {
     const now = performance.now()
-    if (!wanted || (answered < asked && now - sentAt < PATIENCE_MS)) return
+    if (!wanted || (asked - answered >= AT_ONCE && now - sentAt < PATIENCE_MS)) return
     wanted = false
     asked += 1
     sentAt = now
