@@ -134,7 +134,7 @@ def _write_out_sigmoids(path: Path) -> None:
         ]
     del model.graph.node[:]
     model.graph.node.extend(nodes)
-    model.graph.initializer.append(onnx.numpy_helper.from_array(np.float32(1), one))
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.array(1, np.float32), one))
     onnx.save(model, path)
 
 

@@ -75,7 +75,7 @@ def mask_tables(candidates: Candidates) -> MaskTables:
             for tables, values in ((found.cells, cells), (found.weights, weights)):
                 table = np.zeros((shape[0] * rows, width), values.dtype)
                 table[: len(masks)][inside] = values[at]
-                tables.append(table.reshape(shape).astype(values.dtype))  # type: ignore[arg-type]
+                tables.append(table.reshape(shape).astype(values.dtype))
             row[masks] = first + np.arange(len(masks))
             first += shape[0] * rows
         found.index[:, :, band] = row[plan.slot.numpy(force=True) // slices]
