@@ -39,7 +39,7 @@ from slicemask.cli.run_options import (
 @cache_option
 @as_json_option
 def export(run: str, out: str, as_json: bool, **options: Any) -> None:
-    """Export a RUN as ONNX or torch.export files that other runtimes run.
+    """Export a RUN as files of ONNX or torch.export.
 
     Encoders, aggregation and scoring, checked against PyTorch. Masks are inputs, unless --baked.
     """

@@ -31,7 +31,7 @@ _COMMANDS = {
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
     "app": ("app", "Serve a page to look at: slices, or answers of a trained RUN."),
     "pack": ("pack", "Pack what predicting with a trained RUN takes into a folder."),
-    "export": ("export", "Export a RUN as ONNX or torch.export files that other runtimes run."),
+    "export": ("export", "Export a RUN as files of ONNX or torch.export."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),
     "track": ("track", "Follow a camera along a drive on a map, with a trained RUN."),
     "tiles": ("locate", "Cut the aerial tiles of a TABLE of photographs from a map."),

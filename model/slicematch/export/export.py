@@ -194,9 +194,14 @@ def _write_all(
         ScoreGraph(model).eval(), encoded, tables, baked, folder / names["scores"], format
     )
     step()
-    masks = {} if baked else tables.arrays()
-    _save(folder / "candidates.npz", {"poses": localizer.candidates.poses, **masks})
-    _save(folder / "example.npz", {**example, "scores": scores})
+    masks: dict[str, Any] = {} if baked else tables.arrays()
+    kept: dict[str, dict[str, Any]] = {
+        "candidates.npz": {"poses": localizer.candidates.poses, **masks},
+        "example.npz": {**example, "scores": scores},
+    }
+    for name, arrays in kept.items():
+        np.savez_compressed(folder / name, **arrays)
+
     files = {part: read(folder / name) for part, name in names.items()}
     differences = {
         part: _difference(part, files[part]({"images": example[part]}), wanted.numpy())
@@ -226,11 +231,6 @@ def _write_all(
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     (folder / "export.json").write_text(text, encoding="utf-8")
     return content
-
-
-def _save(path: Path, arrays: Arrays) -> None:
-    names: dict[str, Any] = dict(arrays)
-    np.savez_compressed(path, **names)
 
 
 def _write_scores(
