@@ -18,7 +18,7 @@ Engine = Literal["shapely", "rays"]
 NEGLIGIBLE = 1e-10
 # Masks computed before they are cleaned, by their values; but never so few sectors at once that
 # calls would cost more than arithmetic.
-_VALUES_AT_ONCE = 1 << 20
+_VALUES_AT_ONCE = 1 << 19
 _LEAST_SECTORS = 64
 
 

@@ -154,7 +154,7 @@ class SharedPlan:
     ----------
     masks : CSR rows
         The R masks in use.
-    slot : int64 [K, N]
+    slot : int [K, N]
         Which contribution is that of slice n of pose k; those of a mask are N in turn.
     """
 
@@ -164,8 +164,16 @@ class SharedPlan:
 
 def plan_shared(index: Tensor, masks: Masks) -> SharedPlan:
     """Choose the masks to pool, for `SharedPlan`; arguments as for `plan_pooling`."""
-    slices = index.shape[1]
-    used, place = torch.unique(index, return_inverse=True)
-    numbers = torch.arange(slices, device=index.device)
+    slices, device = index.shape[1], index.device
     lengths = masks[0][1:] - masks[0][:-1]
-    return SharedPlan(take_rows(masks, used, int(lengths[used].sum())), place * slices + numbers)
+    # Without a sort of all K * N numbers, which would take most of the memory.
+    chosen = torch.zeros(len(lengths), dtype=torch.bool, device=device)
+    for n in range(slices):
+        chosen.index_fill_(0, index[:, n], True)
+    used = torch.nonzero(chosen)[:, 0]
+    dtype = torch.int32 if len(used) * slices < 2**31 else torch.int64
+    first = (torch.cumsum(chosen, 0) - 1).to(dtype) * slices
+    slot = torch.empty_like(index, dtype=dtype)
+    for n in range(slices):
+        slot[:, n] = first[index[:, n]] + n
+    return SharedPlan(take_rows(masks, used, int(lengths[used].sum())), slot)
