@@ -12,7 +12,7 @@ from PIL import Image
 
 from slicemask.app.controls import FrustumControls, PoseControls
 from slicemask.app.downloads import Download, bank_of_grid, picture_of_pose
-from slicemask.app.locks import when_locked
+from slicemask.app.locks import AtRest, when_locked
 from slicemask.app.page import HELP, page
 from slicemask.app.pixels import blend, shades
 from slicemask.app.snippets import bank_command_line, command_line, python_line
@@ -27,8 +27,6 @@ from slicemask.images import read_aerial
 SHIPPED_TILE = Path(__file__).with_name("tile.jpg")
 _START: Pose = (0.66, 0.64, 315.0)
 _OPACITY = 0.5
-# Numbers and code follow the camera once it has rested for so long.
-_REST_MS = 400
 
 
 class Explorer:
@@ -37,7 +35,8 @@ class Explorer:
     def __init__(self) -> None:
         self.tile = read_aerial(SHIPPED_TILE)
         self.masks: NDArray[np.float64] = np.empty(0)
-        self._rest: Any = None
+        # Numbers and code follow the camera once it rests.
+        self._show_texts_at_rest = AtRest(self._show_texts)
         self.notice = Notice()
         self.controls = FrustumControls(self._recompute, self.notice.show)
         self.pose_controls = PoseControls(self._typed)
@@ -115,20 +114,6 @@ class Explorer:
         self.view.show_masks(blend(parts, colours.reshape(-1, 3), _OPACITY))
         self.view.show_outline(frustum)
         self._show_texts_at_rest()
-
-    def _show_texts_at_rest(self) -> None:
-        document = pn.state.curdoc
-        if document is None or not document.session_context:
-            self._show_texts()
-            return
-        if self._rest is not None:
-            document.remove_timeout_callback(self._rest)
-
-        def rested() -> None:
-            self._rest = None
-            self._show_texts()
-
-        self._rest = document.add_timeout_callback(rested, _REST_MS)
 
     def _show_texts(self) -> None:
         pose, frustum, cells = self.view.pose, self.controls.frustum, self.controls.cells.value

@@ -12,7 +12,7 @@ import panel as pn
 from PIL import Image
 
 from slicemask.app.controls import PoseControls
-from slicemask.app.locks import when_locked
+from slicemask.app.locks import AtRest, when_locked
 from slicemask.app.page import HELP, asked_for_dark, page
 from slicemask.app.pixels import blend
 from slicemask.app.style import CHOICE, OUTLINED
@@ -36,7 +36,6 @@ from slicematch.localization.on_map import tile_side
 log = logging.getLogger(__name__)
 
 _OPACITY = 0.75
-_REST_MS = 400
 _CONTRIBUTION, _DIFFERENCE = "what it adds", "difference to the answer"
 
 
@@ -105,17 +104,17 @@ class Finder:
         aerial_map: tuple[AerialMap, float] | None = None,
     ) -> None:
         self.localizer, self._examples = localizer, examples
-        self.map_place: MapPlace | None = None
-        if aerial_map is not None:
-            self.map_place = MapPlace(*aerial_map, self._cut_tile, self._say)
         self.centre: tuple[float, float] | None = None  # of the tile, where a map gave it
         self.ground: Image.Image | None = None
         self.tile: Image.Image | None = None
         self.truth: Pose | None = None
         self.match: Match | None = None
         self._busy = self._again = self._choosing = False
-        self._rest: Any = None
+        self._show_pose_at_rest = AtRest(lambda: self.pose_controls.show(self.view.pose))
         self.notice = Notice()
+        self.map_place: MapPlace | None = None
+        if aerial_map is not None:
+            self.map_place = MapPlace(*aerial_map, self._cut_tile, self.notice.show)
         self.view = TileView(
             self._moved, "Aerial tile with a candidate pose: arrows move, Q and E turn it",
             self._stroked,
@@ -198,9 +197,6 @@ class Finder:
         self.tile, self.centre = Image.fromarray(tile.image), (tile.lat, tile.lon)
         self._set_resolution(tile.metres_per_pixel)
         self._dropped()
-
-    def _say(self, sentence: str) -> None:
-        self.notice.show(sentence)
 
     def _dropped_ground(self, event: Any) -> None:
         self.ground = self._read(self.ground_dropper, self.localizer.read_ground) or self.ground
@@ -351,19 +347,6 @@ class Finder:
             "for it, orange ones against it."
         )
         self._show_pose_at_rest()
-
-    def _show_pose_at_rest(self) -> None:
-        document = pn.state.curdoc
-        if document is None or not document.session_context:
-            return
-        if self._rest is not None:
-            document.remove_timeout_callback(self._rest)
-
-        def rested() -> None:
-            self._rest = None
-            self.pose_controls.show(self.view.pose)
-
-        self._rest = document.add_timeout_callback(rested, _REST_MS)
 
     def _stroked(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         self.priors.drawn(start, end, self.view.pose)
