@@ -134,15 +134,11 @@ def generate_vigor(
         )
     if plain_places and not switches:
         raise SynthError(f"plain_places is {plain_places}; without vary all places are plain")
-    columns, rows = panorama_size
-    if rows < 16 or columns != 2 * rows:
-        raise SynthError(
-            f"panorama_size is {columns}x{rows}; it must be twice as wide as high, as 1024x512 is"
-        )
+    check_panorama_size(panorama_size)
     jobs = thread_count(jobs)
     root = Path(out)
     whole = vigor.VigorSpec(
-        seed, 0, panoramas, (columns, rows), tile_size, None, switches, label_noise_m
+        seed, 0, panoramas, panorama_size, tile_size, None, switches, label_noise_m
     )
     specs = [
         vigor.city_specs(replace(whole, city=city), places, plain_places) for city in range(cities)
@@ -157,7 +153,7 @@ def generate_vigor(
         "seed": seed,
         "cities": cities,
         "panoramas": panoramas,
-        "panorama_size": [columns, rows],
+        "panorama_size": list(panorama_size),
         "tile_size": tile_size,
     }
     if places > 1:
@@ -244,6 +240,15 @@ def check_at_least(name: str, value: int, least: int) -> None:
     """Refuse a number that is too small."""
     if value < least:
         raise SynthError(f"{name} is {value}; it must be at least {least}")
+
+
+def check_panorama_size(size: tuple[int, int]) -> None:
+    """Refuse a size (columns, rows) that no panorama has."""
+    columns, rows = size
+    if rows < 16 or columns != 2 * rows:
+        raise SynthError(
+            f"panorama_size is {columns}x{rows}; it must be twice as wide as high, as 1024x512 is"
+        )
 
 
 def claim_folder(root: Path, record: dict[str, Any]) -> None:

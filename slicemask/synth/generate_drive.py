@@ -12,6 +12,7 @@ from slicemask.synth.generate import (
     Progress,
     SynthResult,
     check_at_least,
+    check_panorama_size,
     claim_folder,
     run_tasks,
 )
@@ -73,14 +74,10 @@ def generate_drive(
     ):
         if not (math.isfinite(value) and least <= value <= most):
             raise SynthError(f"{name} is {value:g}; it must be {least:g} to {most:g}")
-    columns, rows = panorama_size
-    if rows < 16 or columns != 2 * rows:
-        raise SynthError(
-            f"panorama_size is {columns}x{rows}; it must be twice as wide as high, as 1024x512 is"
-        )
+    check_panorama_size(panorama_size)
     jobs = thread_count(jobs)
     root = Path(out)
-    spec = drive.DriveSpec(seed, drives, float(seconds), float(rate_hz), (columns, rows), tile_size)
+    spec = drive.DriveSpec(seed, drives, float(seconds), float(rate_hz), panorama_size, tile_size)
     tasks = drive.list_tasks(root, spec)
     drive.plan_drives(spec)  # before anything is written: not every city has such drives
     claim_folder(
@@ -92,7 +89,7 @@ def generate_drive(
             "drives": drives,
             "seconds": spec.seconds,
             "rate_hz": spec.rate_hz,
-            "panorama_size": [columns, rows],
+            "panorama_size": list(panorama_size),
             "tile_size": tile_size,
         },
     )

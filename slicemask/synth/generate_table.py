@@ -11,6 +11,7 @@ from slicemask.synth.generate import (
     Progress,
     SynthResult,
     check_at_least,
+    check_panorama_size,
     claim_folder,
     run_tasks,
 )
@@ -65,11 +66,7 @@ def generate_table(
     check_at_least("panoramas", panoramas, 1)
     check_at_least("seed", seed, 0)
     check_at_least("tile_size", tile_size, 16)
-    columns, rows = panorama_size
-    if rows < 16 or columns != 2 * rows:
-        raise SynthError(
-            f"panorama_size is {columns}x{rows}; it must be twice as wide as high, as 1024x512 is"
-        )
+    check_panorama_size(panorama_size)
     if min(image_size) < 16:
         raise SynthError(f"image_size is {image_size[0]}x{image_size[1]}; it must be 16 or more")
     jobs = thread_count(jobs)

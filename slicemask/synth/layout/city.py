@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import shapely
@@ -78,9 +79,9 @@ class City:
     buildings: tuple[Building, ...]
     trees: tuple[Tree, ...]
     landmarks: tuple[Landmark, ...]
-    lamps: tuple[tuple[float, float, float], ...]
     cars_aerial: tuple[Car, ...]
     cars_ground: tuple[Car, ...]
+    lamps: tuple[tuple[float, float, float], ...] = ()
     base: tuple[Kind, Colour] = (Kind.ASPHALT, (0.30, 0.30, 0.31))
     islands: tuple[Polygon, ...] = ()
     backdrops: tuple[Backdrop, ...] = ()
@@ -138,7 +139,20 @@ def lay_out_city(seed: int | Sequence[int], half_extent_m: float) -> City:
         slots += _kerb_slots(street, piece, kerb_rng)
         lamps += _line_kerbs(street, piece, style, plan, kerb_rng)
     parked = plan.slots + slots
-    cars_aerial, cars_ground = park_cars(parked, streets, car_rng)
+    cars = park_cars(parked, streets, car_rng)
+    return city_of(plan, half_extent_m, style, streets, cars, lamps=tuple(lamps))
+
+
+def city_of(
+    plan: Plan,
+    half_extent_m: float,
+    style: Style,
+    streets: Sequence[Street],
+    cars: tuple[list[Car], list[Car]],
+    **others: Any,
+) -> City:
+    """The layout of a plan; `cars` are those from above, and at ground."""
+    cars_aerial, cars_ground = cars
     return City(
         half_extent_m=half_extent_m,
         style=style,
@@ -147,9 +161,9 @@ def lay_out_city(seed: int | Sequence[int], half_extent_m: float) -> City:
         buildings=tuple(plan.buildings),
         trees=tuple(plan.trees),
         landmarks=tuple(plan.landmarks),
-        lamps=tuple(lamps),
         cars_aerial=tuple(cars_aerial),
         cars_ground=tuple(cars_ground),
+        **others,
     )
 
 

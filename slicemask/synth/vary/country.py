@@ -8,7 +8,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
-from slicemask.synth.layout.city import City, park_cars
+from slicemask.synth.layout.city import City, city_of, park_cars
 from slicemask.synth.layout.elements import Area, Colour, Kind, Plan
 from slicemask.synth.layout.lots import largest, split
 from slicemask.synth.layout.palette import vary_colour
@@ -24,7 +24,7 @@ from slicemask.synth.vary.farms import build_farm
 from slicemask.synth.vary.horizon import draw_horizon
 from slicemask.synth.vary.junctions import build_island, draw_roundabouts, without_cars_on
 from slicemask.synth.vary.roads import ANY, Paint, draw_pavement, paint_roads, patches
-from slicemask.synth.vary.suburbs import add_trees, city_of, keep_clear, ring_of_trees
+from slicemask.synth.vary.suburbs import add_trees, keep_clear, ring_of_trees
 from slicemask.synth.vary.switches import Variation
 from slicemask.synth.vary.trees import Flora
 
@@ -138,7 +138,7 @@ def lay_out_country(seed: tuple[int, ...], half_extent_m: float, variation: Vari
     cars = park_cars(plan.slots, streets, car_rng, 400.0)
     base = (Kind.MEADOW, vary_colour(style_rng, (style.grass, (0.48, 0.44, 0.28)), 0.08))
     backdrops = draw_horizon(half_extent_m, tree_rng)
-    city = city_of(plan, half_extent_m, style, streets, cars, base, backdrops)
+    city = city_of(plan, half_extent_m, style, streets, cars, base=base, backdrops=backdrops)
     return without_cars_on(city, [roundabout.island for roundabout, _ in islands])
 
 

@@ -9,8 +9,8 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from slicemask.synth.layout.blocks import lay_out_retail
-from slicemask.synth.layout.city import City, land_between, park_cars
-from slicemask.synth.layout.elements import Area, Backdrop, Car, Colour, Kind, Plan, Slot
+from slicemask.synth.layout.city import City, city_of, land_between, park_cars
+from slicemask.synth.layout.elements import Area, Colour, Kind, Plan, Slot
 from slicemask.synth.layout.lots import largest, oriented_bounds, split
 from slicemask.synth.layout.open_spaces import lay_out_park
 from slicemask.synth.layout.palette import vary_colour
@@ -146,7 +146,7 @@ def lay_out_suburb(seed: tuple[int, ...], half_extent_m: float, variation: Varia
     islands = [roundabout.island for roundabout in roundabouts]
     cars = park_cars(plan.slots, streets, car_rng, 260.0)
     backdrops = draw_horizon(half_extent_m, tree_rng)
-    city = city_of(plan, half_extent_m, style, streets, cars, base, backdrops)
+    city = city_of(plan, half_extent_m, style, streets, cars, base=base, backdrops=backdrops)
     return without_cars_on(city, islands)
 
 
@@ -316,33 +316,6 @@ def ring_of_trees(
         x, y = np.sin(angle), np.cos(angle)
         reach = far / max(abs(x), abs(y))
         plan.trees.append(flora.tree(float(x * reach), float(y * reach), rng, "wood"))
-
-
-def city_of(
-    plan: Plan,
-    half_extent_m: float,
-    style: Style,
-    streets: list[Street],
-    cars: tuple[list[Car], list[Car]],
-    base: tuple[Kind, Colour],
-    backdrops: tuple[Backdrop, ...],
-) -> City:
-    """The layout of a plan without street lamps; `cars` are those from above, and at ground."""
-    cars_aerial, cars_ground = cars
-    return City(
-        half_extent_m=half_extent_m,
-        style=style,
-        streets=tuple(streets),
-        areas=tuple(area for area in plan.areas if area.polygon.area > 1e-3),
-        buildings=tuple(plan.buildings),
-        trees=tuple(plan.trees),
-        landmarks=tuple(plan.landmarks),
-        lamps=(),
-        cars_aerial=tuple(cars_aerial),
-        cars_ground=tuple(cars_ground),
-        base=base,
-        backdrops=backdrops,
-    )
 
 
 def keep_clear(plan: Plan, streets: list[Street]) -> None:
