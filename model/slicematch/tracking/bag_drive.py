@@ -11,9 +11,10 @@ from PIL import Image
 
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
+from slicematch.data.positions import Fix
 from slicematch.data.views import is_whole
 from slicematch.runs.config import TrainConfig
-from slicematch.tracking.drive import Fix, Frame, mean_odometry
+from slicematch.tracking.drive import Frame, mean_odometry
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _ODOMETRY, _IMU, _FIX = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"

@@ -13,27 +13,11 @@ from slicemask.errors import ImageError
 from slicemask.images import Picture
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
+from slicematch.data.positions import Fix
 from slicematch.data.views import View, cut_view
 from slicematch.localization.photos import Photo
 from slicematch.runs.config import TrainConfig
 from slicematch.tracking.odometry import Odometry
-
-
-@dataclass(frozen=True)
-class Fix:
-    """A position from a satellite receiver.
-
-    Attributes
-    ----------
-    lat, lon : float
-        Degrees on WGS 84.
-    accuracy_m : float or None
-        Its error, as about two in three are less.
-    """
-
-    lat: float
-    lon: float
-    accuracy_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +33,7 @@ class Frame:
     odometry : Odometry or None
         The mean motion since the frame before.
     fix : Fix or None
+        Its accuracy is the error that about two in three are less than.
     truth : (lat, lon, heading_deg) or None
         Where it was, if that is known; nothing is tracked by it.
     note : str

@@ -8,9 +8,10 @@ import numpy as np
 
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
+from slicematch.data.positions import Fix
 from slicematch.data.text import parse_number
 from slicematch.runs.config import TrainConfig
-from slicematch.tracking.drive import Fix, Frame, frame_image, mean_odometry
+from slicematch.tracking.drive import Frame, frame_image, mean_odometry
 
 # Fields of an oxts line: latitude, longitude and yaw; speed forward; yaw rate; position accuracy.
 LAT, LON, YAW, FORWARD, YAW_RATE, ACCURACY = 0, 1, 5, 8, 19, 23

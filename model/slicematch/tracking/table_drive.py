@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
 from slicematch.data.photographs import DRIVE_COLUMNS, Photographs, read_photographs, wrong_cell
+from slicematch.data.positions import Fix
 from slicematch.data.table_cameras import table_cameras
 from slicematch.data.text import parse_number
 from slicematch.data.views import is_whole
 from slicematch.runs.config import TrainConfig
-from slicematch.tracking.drive import Fix, Frame, frame_image, mean_odometry
+from slicematch.tracking.drive import Frame, frame_image, mean_odometry
 
 
 class TableDrive:
