@@ -15,7 +15,15 @@ from rich.console import Console
 from slicematch import Localizer
 
 from benchmarks.commands import slicemask
-from benchmarks.real_pairs import GRID, judge, make_draw, summarise, table_of, whole_sphere
+from benchmarks.real_pairs import (
+    GRID,
+    answer_draws,
+    judge,
+    read_pairs,
+    summarise,
+    table_of,
+    whole_sphere,
+)
 from slicemask.images import read_image
 
 TRAINING = (
@@ -33,7 +41,8 @@ TRAINING = (
 @click.option("--work", default="runs/leave-one-out", show_default=True, help="Where runs go.")
 def main(pairs: Path, init: str, epochs: int, freeze: bool, draws: int, work: str) -> None:
     """Fine-tune on all PAIRS but one, in turn, and localize that one."""
-    rows = list(csv.DictReader((pairs / "pairs.csv").open(encoding="utf-8")))
+    rows = read_pairs(pairs)
+    start = Localizer.load(init, grid=GRID, refine="mean")
     folder = Path(work)
     photos = [_write_photo(row, pairs, folder) for row in rows]
     before, after = {}, {}
@@ -50,17 +59,12 @@ def main(pairs: Path, init: str, epochs: int, freeze: bool, draws: int, work: st
                 "train", *TRAINING, *frozen, "--epochs", str(epochs), "--init", init,
                 "--root", str(table), "--side-m", "72", "--out", str(run), "--resume", threads=1,
             )  # fmt: skip
-        for found, name in ((before, init), (after, str(run))):
-            localizer = Localizer.load(name, grid=GRID, refine="mean")
+        tuned = Localizer.load(run, grid=GRID, refine="mean")
+        for found, localizer in ((before, start), (after, tuned)):
             side_m = localizer.tile_side_m or 72.0
             random = np.random.default_rng([0, number])
-            found[row["id"]] = []
-            for _ in range(draws):
-                draw = make_draw(row, pairs, side_m, random)
-                answer = localizer.localize(
-                    draw.panorama, draw.tile, (0.0, 180.0), metres_per_pixel=draw.metres_per_pixel
-                )
-                found[row["id"]].append(judge(answer, draw))
+            answered = answer_draws(localizer, row, pairs, side_m, draws, random)
+            found[row["id"]] = [judge(answer, draw) for draw, answer in answered]
     console = Console(width=120)
     for title, found in (("before", before), ("after", after)):
         console.print(title)

@@ -11,6 +11,7 @@ known to so many degrees. Standard errors are over pairs: draws of one pair are 
 import csv
 import json
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,15 +65,10 @@ def main(run: str, pairs: Path, draws: int, prior: float | None, refine: Any, gr
     localizer = Localizer.load(run, grid=grid, checkpoint=checkpoint, refine=refine)
     side = side or localizer.tile_side_m or 70.0
     found = defaultdict(list)
-    for number, row in enumerate(csv.DictReader((pairs / "pairs.csv").open(encoding="utf-8"))):
+    for number, row in enumerate(read_pairs(pairs)):
         random = np.random.default_rng([seed, number])
-        for k in range(draws):
-            draw = make_draw(row, pairs, side, random)
-            heading_prior = None if prior is None else (_off(draw, prior, random), prior)
-            estimate = localizer.localize(
-                draw.panorama, draw.tile, heading_prior or (0.0, 180.0),
-                metres_per_pixel=draw.metres_per_pixel,
-            )  # fmt: skip
+        answered = answer_draws(localizer, row, pairs, side, draws, random, prior)
+        for k, (draw, estimate) in enumerate(answered):
             found[row["id"]].append(judge(estimate, draw))
             if pictures is not None and k == 0:
                 _save_picture(pictures / f"{row['id']}.png", localizer, estimate, draw)
@@ -81,6 +77,28 @@ def main(run: str, pairs: Path, draws: int, prior: float | None, refine: Any, gr
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps({"figures": figures, "pairs": found}, indent=2) + "\n")
+
+
+def read_pairs(folder: Path) -> list[dict[str, str]]:
+    """The rows of a folder's table of pairs."""
+    with (folder / "pairs.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def answer_draws(
+    localizer: Localizer, row: dict[str, str], folder: Path, side_m: float, draws: int,
+    random: np.random.Generator, prior: float | None = None,
+) -> Iterator[tuple[Draw, Estimate]]:  # fmt: skip
+    """Draws of a pair, each with its answer."""
+    for _ in range(draws):
+        draw = make_draw(row, folder, side_m, random)
+        heading_prior = (0.0, 180.0) if prior is None else (_off(draw, prior, random), prior)
+        yield (
+            draw,
+            localizer.localize(
+                draw.panorama, draw.tile, heading_prior, metres_per_pixel=draw.metres_per_pixel
+            ),
+        )
 
 
 def make_draw(
