@@ -166,8 +166,7 @@ def _test_figures(results: list[dict[str, Any]]) -> dict[str, Any]:
     )  # [seeds, samples]
     right, far, close = heading_deg <= 20, place_m > 15, place_m <= 8
     return {
-        "errors": _statistics(place_m, heading_deg),
-        "standard_errors": _standard_errors(place_m, heading_deg),
+        **errors_of(place_m, heading_deg),
         "by_seed": [
             _statistics(*seed) for seed in zip(place_m[:, None], heading_deg[:, None], strict=True)
         ],
@@ -180,6 +179,14 @@ def _test_figures(results: list[dict[str, Any]]) -> dict[str, Any]:
                 np.median(probability[~close]) if not close.all() else None,
         },
     }  # fmt: skip
+
+
+def errors_of(place_m: np.ndarray, heading_deg: np.ndarray) -> dict[str, dict[str, float]]:
+    """Mean and median of errors [seeds, samples], and their standard errors over the samples."""
+    return {
+        "errors": _statistics(place_m, heading_deg),
+        "standard_errors": _standard_errors(place_m, heading_deg),
+    }
 
 
 def _statistics(place_m: np.ndarray, heading_deg: np.ndarray) -> dict[str, float]:
