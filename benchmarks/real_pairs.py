@@ -25,6 +25,7 @@ from slicematch import Estimate, Localizer
 from slicematch.evaluation.drawing import draw_estimate
 from slicematch.evaluation.metrics import heading_error_deg
 
+from benchmarks.answer_sheet import SheetAnswer, save_sheet
 from slicemask.images import read_image
 
 # What counts as right.
@@ -56,22 +57,27 @@ class Draw:
 @click.option("--checkpoint", default="best", show_default=True)
 @click.option("--side", type=float, help="Of the tiles, metres.  [default: the run's]")
 @click.option("--pictures", type=click.Path(path_type=Path), help="A picture of each first draw.")
+@click.option("--sheet", type=click.Path(path_type=Path), help="All first draws, no photographs.")
 @click.option("--seed", default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="Figures as JSON.")
 def main(run: str, pairs: Path, draws: int, prior: float | None, refine: Any, grid: str,
-         checkpoint: Any, side: float | None, pictures: Path | None, seed: int,
-         out: Path | None) -> None:  # fmt: skip
+         checkpoint: Any, side: float | None, pictures: Path | None, sheet: Path | None,
+         seed: int, out: Path | None) -> None:  # fmt: skip
     """Localize the real PAIRS with RUN."""
     localizer = Localizer.load(run, grid=grid, checkpoint=checkpoint, refine=refine)
     side = side or localizer.tile_side_m or 70.0
-    found = defaultdict(list)
+    found, first = defaultdict(list), []
     for number, row in enumerate(read_pairs(pairs)):
         random = np.random.default_rng([seed, number])
         answered = answer_draws(localizer, row, pairs, side, draws, random, prior)
         for k, (draw, estimate) in enumerate(answered):
             found[row["id"]].append(judge(estimate, draw))
-            if pictures is not None and k == 0:
-                _save_picture(pictures / f"{row['id']}.png", localizer, estimate, draw)
+            if k == 0:
+                first.append(_for_sheet(row["id"], draw, estimate))
+                if pictures is not None:
+                    _save_picture(pictures / f"{row['id']}.png", localizer, estimate, draw)
+    if sheet is not None:
+        save_sheet(sheet, first)
     figures = summarise(found)
     Console(width=None if out is None else 120).print(table_of(found, figures))
     if out is not None:
@@ -214,9 +220,17 @@ def table_of(found: dict[str, list[dict[str, float]]], figures: dict[str, float]
     return table
 
 
+def _caption(judged: dict[str, float]) -> str:
+    return f"off by {judged['place_m']:.1f} m and {judged['heading_deg']:.0f} degrees"
+
+
+def _for_sheet(name: str, draw: Draw, estimate: Estimate) -> SheetAnswer:
+    side_m = draw.tile.width * draw.metres_per_pixel
+    return SheetAnswer(name, estimate, draw.truth, side_m, _caption(judge(estimate, draw)))
+
+
 def _save_picture(path: Path, localizer: Localizer, estimate: Estimate, draw: Draw) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    judged = judge(estimate, draw)
     figure = draw_estimate(
         draw.tile,
         estimate.heat_map,
@@ -225,7 +239,7 @@ def _save_picture(path: Path, localizer: Localizer, estimate: Estimate, draw: Dr
         localizer.frustum,
         draw.truth,
         draw.panorama,
-        f"{path.stem}: off by {judged['place_m']:.1f} m and {judged['heading_deg']:.0f} degrees",
+        f"{path.stem}: {_caption(judge(estimate, draw))}",
         estimate,
         draw.tile.width * draw.metres_per_pixel,
     )

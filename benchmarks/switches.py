@@ -27,7 +27,7 @@ PLACES = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
     "--seed", "31", "--panoramas", "400", "--places", "20",
 )  # fmt: skip
-TRAINING = (*ship.TRAINING, *ship.NETWORK, "--learning-rate", "5e-4", "--epochs", "6")
+TRAINING = (*ship.TRAINING, *ship.NETWORK, "--learning-rate", "5e-4", "--epochs", "4")
 TEST = ("--grid", ship.GRID, "--checkpoint", "last", "--refine", "mean", "--limit", "200")
 ROWS = ("none", *SWITCHES, "all")
 
