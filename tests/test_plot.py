@@ -23,7 +23,7 @@ from slicemask.plot import (
     save_figure,
     slice_colours,
 )
-from slicemask.plot.figure import PAPER
+from slicemask.plot.colours import PAPER
 
 QUARTERS = Frustum(hfov_deg=360.0, slices=4)
 # North-west, north-east, south-east and south-west quadrants are slices 1, 2, 3 and 0.

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from slicemask.geometry.azimuths import direction
 from slicemask.geometry.frustum import Frustum
-from slicemask.plot.figure import edge_ends
+from slicemask.plot.outlines import edge_ends
 
 _ARC_STEP_DEG = 3.0
 # More numbers than this are not legible around a camera.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from slicemask.plot.figure import band_colours, slice_colours
+from slicemask.plot.colours import band_colours, slice_colours
 
 Palette = Literal["hues", "two tones"]
 PALETTES = get_args(Palette)

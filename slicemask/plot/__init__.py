@@ -1,8 +1,10 @@
 """Pictures of slices. Matplotlib is loaded when a picture is drawn, not on import."""
 
 from slicemask.images import read_aerial
-from slicemask.plot.figure import arrow_tip, draw_pose, draw_slices, edge_ends, slice_colours
+from slicemask.plot.colours import slice_colours
+from slicemask.plot.figure import draw_pose, draw_slices
 from slicemask.plot.files import animate_heading, check_figure_target, save_figure
+from slicemask.plot.outlines import arrow_tip, edge_ends
 
 __all__ = [
     "animate_heading",

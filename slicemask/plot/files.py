@@ -13,16 +13,9 @@ from slicemask.files import atomic_write, check_target
 from slicemask.geometry.frustum import Frustum
 from slicemask.geometry.masks import Engine, slice_masks
 from slicemask.geometry.numbers import is_whole
-from slicemask.plot.figure import (
-    INK,
-    MUTED,
-    PAPER,
-    Aerial,
-    Pose,
-    check_pose,
-    draw_slices,
-    hfov_text,
-)
+from slicemask.plot.colours import INK, MUTED, PAPER
+from slicemask.plot.figure import Aerial, draw_slices, hfov_text
+from slicemask.plot.outlines import Pose, check_pose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
