@@ -3,8 +3,8 @@
 ``python -m benchmarks.switches PAIRS`` generates a small data set without variety, one with each
 switch of ``slicemask synth --vary`` alone and one with all of them, trains a smaller network than
 that of `benchmarks.ship` on each, and asks every run for the real pairs of `benchmarks.real_pairs`
-and for a plain city that none has seen. Figures are kept in ``benchmarks/results/switches.json``. What is
-there already is not done again, and a training that was cut short goes on.
+and for a plain city that none has seen. Figures are kept in ``benchmarks/results/switches.json``.
+What is there already is not done again, and a training that was cut short goes on.
 """
 
 import json
