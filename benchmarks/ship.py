@@ -25,7 +25,7 @@ TRAINING = (
     "--data", "vigor", "--split", "cross-area", "--cities", "NewYork,SanFrancisco",
     "--batch-size", "4", "--schedule", "one-cycle", "--augment", "--validation-fraction", "0.05",
     "--test-grid", "14x14x32", "--heat-map-every", "0", "--workers", "1", "--accelerator", "cpu",
-    "--precision", "bf16-mixed", "--seed", "0",
+    "--seed", "0",
 )  # fmt: skip
 NETWORK = (
     "--encoder", "tf_efficientnet_lite0", "--weights", "imagenet", "--stride", "8",

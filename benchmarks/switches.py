@@ -25,14 +25,14 @@ RESULTS = ROOT / "benchmarks" / "results" / "switches.json"
 # Every data set has the same places but for what the switch draws.
 PLACES = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
-    "--seed", "31", "--panoramas", "400", "--places", "20",
+    "--seed", "31", "--panoramas", "300", "--places", "15",
 )  # fmt: skip
 # The network that ships, on half as many columns and slices.
 TRAINING = (
     *ship.TRAINING, *ship.NETWORK, "--ground-size", "128,256", "--slices", "16",
     "--learning-rate", "5e-4", "--epochs", "4",
 )  # fmt: skip
-TEST = ("--grid", ship.GRID, "--checkpoint", "last", "--refine", "mean", "--limit", "200")
+TEST = ("--grid", ship.GRID, "--checkpoint", "last", "--refine", "mean", "--limit", "100")
 ROWS = ("none", *SWITCHES, "all")
 
 

@@ -1,5 +1,6 @@
 """Where a model is trained, where it runs, and in how many bits."""
 
+import logging
 from contextlib import AbstractContextManager, nullcontext
 from typing import cast, get_args
 
@@ -8,11 +9,13 @@ import torch
 from slicematch.errors import ConfigError
 from slicematch.precision import Precision
 
+log = logging.getLogger(__name__)
+
 _AUTOCAST = {"16-mixed": torch.float16, "bf16-mixed": torch.bfloat16}
 
 
 def check_precision(precision: str, device: torch.device) -> Precision:
-    """Return the name of a precision.
+    """Return the name of a precision; warn if the device computes in it, but slowly.
 
     Raises
     ------
@@ -28,7 +31,17 @@ def check_precision(precision: str, device: torch.device) -> Precision:
             "precision '16-mixed' is for GPUs, a CPU takes hundreds of times longer; choose "
             "bf16-mixed"
         )
+    if precision == "bf16-mixed" and device.type == "cpu" and not _has_bf16():
+        log.warning(
+            "precision bf16-mixed takes many times longer than 32-true on this processor, which "
+            "has no instructions for it (AVX-512 or AMX); choose 32-true"
+        )
     return cast(Precision, precision)
+
+
+def _has_bf16() -> bool:
+    """Whether this processor's kernels for bfloat16 are fast ones."""
+    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
 def autocast(device: torch.device, precision: Precision) -> AbstractContextManager[object]:

@@ -2,9 +2,11 @@
 
 import os
 
+import torch
+
 from slicemask.threads import thread_count
 from slicematch import _torchvision  # noqa: F401  before lightning: see there
-from slicematch.devices import device_name
+from slicematch.devices import check_precision, device_name
 from slicematch.errors import ConfigError
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import RunFolder
@@ -38,6 +40,7 @@ def make_trainer(
         If the devices or the precision are not available here.
     """
     accelerator = device_name(config.accelerator)
+    check_precision(config.precision, torch.device(accelerator))
     processors = thread_count(None)
     if accelerator == "cpu" and config.devices > processors:
         raise ConfigError(
