@@ -14,7 +14,7 @@ from slicematch.runs.settings import documentation
 from slicemask.cli.setting_options import given_settings, setting_options
 from slicemask.cli.train import train
 
-NOT_SETTINGS = {"config_file", "out", "resume", "cache", "as_json", "help"}
+NOT_SETTINGS = {"config_file", "recipe", "out", "resume", "cache", "as_json", "help"}
 OPTIONS = {option.name: option for option in train.params if option.name not in NOT_SETTINGS}
 
 

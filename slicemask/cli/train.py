@@ -1,9 +1,10 @@
 """Commands that fit: train and calibrate."""
 
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import click
+from slicematch.runs.recipes import RecipeName
 
 from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import as_json_option, cache_option
@@ -22,6 +23,13 @@ from slicemask.cli.setting_options import given_settings, setting_options
 
 @click.command()
 @click.option("--config", "config_file", metavar="FILE", help="YAML of settings, named as below.")
+@click.option(
+    "--recipe",
+    type=click.Choice(get_args(RecipeName)),
+    help="Settings to start from, before those of --config and of the options below: the paper's, "
+    "which are the defaults, or what answers soonest on a processor (ours: a small pretrained "
+    "encoder, bands of range, 64 channels).  [default: paper]",
+)
 @click.option("--out", metavar="DIR", help="The run folder.  [default: runs/<data>]")
 @click.option("--resume", is_flag=True, help="Go on with the run that is in the folder, if any.")
 @setting_options
@@ -29,6 +37,7 @@ from slicemask.cli.setting_options import given_settings, setting_options
 @as_json_option
 def train(
     config_file: str | None,
+    recipe: str | None,
     out: str | None,
     resume: bool,
     cache: str | None,
@@ -41,7 +50,8 @@ def train(
     from slicematch.training.train import train
     from slicematch.training.trainer import is_first_process
 
-    config, folder = plan_run(given_settings(settings), config_file, out, resume)
+    asked = given_settings(settings) | ({} if recipe is None else {"recipe": recipe})
+    config, folder = plan_run(asked, config_file, out, resume)
     with messages_on_stderr("slicematch"):
         run = train(config, folder, resume=resume, cache=cache, progress=sys.stderr.isatty())
     if not is_first_process(config):

@@ -14,6 +14,7 @@ from slicematch.data.source import DataConfig, Split
 from slicematch.errors import ConfigError
 from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.precision import Precision
+from slicematch.runs.recipes import find_recipe
 from slicematch.runs.settings import convert, read_settings
 
 if TYPE_CHECKING:
@@ -338,13 +339,24 @@ class TrainConfig:
         ----------
         settings : mapping
             Settings by name; the data set's own ones may stand among them. Names of older versions
-            are taken too, and the new ones go before them.
+            are taken too, and the new ones go before them. With ``recipe``, what is not among
+            them is the recipe's: "paper", the defaults, or "fast" (`slicematch.runs.recipes`).
 
         Raises
         ------
         ConfigError
             If a key is unknown or missing, or a value out of its range.
         """
+        given = {name: value for name, value in settings.items() if name != "recipe"}
+        recipe = find_recipe(settings.get("recipe", "paper"))
+        config = cls._from_settings({**recipe.of(None), **given})
+        # What the projection is, the data set knows.
+        further = recipe.of(config.projection)
+        return cls._from_settings({**further, **given}) if further else config
+
+    @classmethod
+    def _from_settings(cls, settings: Mapping[str, Any]) -> "TrainConfig":
+        """`from_dict` once recipes are resolved."""
         data = config_class(str(settings["data"])) if _needs_data(settings) else None
         settings = _renamed(settings, data)
         known = [setting.name for setting in fields(cls)]
@@ -352,7 +364,8 @@ class TrainConfig:
         unknown = sorted(str(key) for key in set(settings) - {*known, *own})
         if unknown:
             raise ConfigError(
-                f"setting {unknown[0]!r} is unknown; it must be one of {', '.join([*known, *own])}"
+                f"setting {unknown[0]!r} is unknown; it must be one of "
+                f"{', '.join([*known, 'recipe', *own])}"
             )
         missing = [name for name in cls.required if settings.get(name) is None]
         if missing:

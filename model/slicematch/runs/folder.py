@@ -31,6 +31,7 @@ from slicematch.errors import RunError
 from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig
+from slicematch.runs.recipes import find_recipe
 from slicematch.runs.settings import read_settings
 from slicematch.runs.shipped import shipped_runs
 
@@ -245,7 +246,9 @@ def plan_run(
     folder = Path(out) if out is not None else Path("runs", str(asked.get("data", "run")))
     run = RunFolder(folder)
     if resume and run.config_file.is_file():
-        asked = {**run.read_settings(), **asked}
+        # A recipe is asked for as its settings are: those of another run may not change.
+        saved, recipe = run.read_settings(), find_recipe(asked.pop("recipe", "paper"))
+        asked = {**saved, **recipe.of(saved.get("projection")), **asked}
     elif asked.get("init") is not None:
         from slicematch.runs.start import network_settings  # which needs this file
 
