@@ -9,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 
+from benchmarks.answers import answers
 from benchmarks.bands import bands
 from benchmarks.figure import Figure
 from benchmarks.gpu import gpu
@@ -194,6 +195,7 @@ def growth() -> list[Figure]:
 
 
 TABLES: dict[str, Callable[[], list[Figure]]] = {
+    "answers": answers,
     "bank": bank,
     "engine": engine,
     "million": million,

@@ -1,0 +1,96 @@
+"""``python -m benchmarks.answer_cost SIDE CACHE``: whole answers, in a process of their own.
+
+Prints the processor's seconds of each answer after the first, on one thread, and the process's
+peak memory, loading included. SIDE is a key of `SIDES`.
+"""
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from slicematch import Localizer
+from slicematch.network.slicematch import SliceMatch
+from slicematch.scoring.candidates import Candidates
+
+from slicemask import Frustum, PoseGrid, build_bank, open_bank
+
+import timm  # isort: skip  after slicematch: see README
+
+GRID = "21x21x64"
+ANSWERS = 5
+Answer = Callable[[], object]
+
+
+def fast(cache: str) -> Answer:
+    """The run that ships, which is `--recipe fast`: from pictures to an answer, refined."""
+    localizer = Localizer.load("generated-city", grid=GRID, cache=cache)
+    random = np.random.default_rng(0)
+    ground, aerial = (
+        random.integers(0, 256, shape, np.uint8) for shape in ((512, 1024, 3), (640, 640, 3))
+    )
+    return lambda: localizer.localize(ground, aerial)
+
+
+def ours(encoder: str, cross_view_attention: bool = True) -> Callable[[str], Answer]:
+    """SliceMatch as in the paper, but for its encoder: random weights, pictures as tensors."""
+
+    def load(cache: str) -> Answer:
+        frustum = Frustum()
+        bank = build_bank(PoseGrid.parse(GRID), frustum, 32, engine="rays", cache=cache)
+        with open_bank(bank.path) as opened:
+            candidates = Candidates.from_bank(opened)
+        model = SliceMatch(encoder, "none", cross_view_attention=cross_view_attention)
+        model.for_inference(torch.device("cpu"))
+        pair = torch.randn(1, 3, 320, 640), torch.randn(1, 3, 512, 512)
+        return lambda: model(*pair, candidates)
+
+    return load
+
+
+def features(encoder: str) -> Callable[[str], Answer]:
+    """An encoder's features of both pictures, and nothing after them."""
+
+    def load(_: str) -> Answer:
+        nets = [
+            timm.create_model(encoder, features_only=True, pretrained=False).eval()
+            for _ in range(2)
+        ]
+        pair = torch.randn(1, 3, 320, 640), torch.randn(1, 3, 512, 512)
+        return lambda: [net(picture) for net, picture in zip(nets, pair, strict=True)]
+
+    return load
+
+
+SIDES: dict[str, tuple[str, Callable[[str], Answer]]] = {
+    "fast": ("--recipe fast, from pictures to the refined answer", fast),
+    "peers": (
+        "efficientnet_b0's features of 320x640 and 512x512: HC-Net's and CCVPE's backbone and "
+        "sizes, nothing after it",
+        features("efficientnet_b0"),
+    ),
+    "b0": ("SliceMatch, efficientnet_b0", ours("efficientnet_b0")),
+    "b0_plain": ("the same without cross-view attention", ours("efficientnet_b0", False)),
+    "resnet50": ("SliceMatch, ResNet50", ours("resnet50")),
+    "vgg16": ("--recipe paper: SliceMatch, VGG16", ours("vgg16")),
+}
+
+
+def main(side: str, cache: str) -> None:
+    torch.set_num_threads(1)
+    answer, seconds = SIDES[side][1](cache), []
+    with torch.no_grad():
+        for _ in range(1 + ANSWERS):
+            start = time.process_time()
+            answer()
+            seconds.append(time.process_time() - start)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    print(json.dumps({"seconds": seconds[1:], "peak_bytes": peak}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], str(Path(sys.argv[2])))
