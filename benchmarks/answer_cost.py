@@ -22,7 +22,7 @@ from slicemask import Frustum, PoseGrid, build_bank, open_bank
 import timm  # isort: skip  after slicematch: see README
 
 GRID = "21x21x64"
-ANSWERS = 5
+ANSWERS = 3
 Answer = Callable[[], object]
 
 
