@@ -93,7 +93,7 @@ class Searcher:
         tile = self.tiles.at(0.0, 0.0)
         if ground is None or tile is None:
             return [self._blind(within_m, heading, particles, noise)]
-        scores = self.scorer.whole(ground, tile.encoded).scores
+        scores = self.scorer.whole(ground, tile.scored).scores
         poses = tile.states(self.scorer.coarse_grid.poses())
         prior = np.zeros(len(poses))
         if within_m is not None:
@@ -128,7 +128,7 @@ class Searcher:
         tile = self.tiles.at(best[0] + east * away_m, best[1] + north * away_m)
         if tile is None:
             return None
-        scores = self.scorer.whole(ground, tile.encoded).scores
+        scores = self.scorer.whole(ground, tile.scored).scores
         poses = tile.states(self.scorer.coarse_grid.poses())
         likely = probabilities(scores.ravel(), self.temperature)
         found = self._modes(tile, poses, likely, SEARCH_MODES, particles, noise)

@@ -155,7 +155,7 @@ class Tracker:
         self.start, self.start_heading = start, heading
         self.scorer = LocalScorer(localizer, cache)
         self.tiles = TrackTiles(
-            localizer, aerial_map, (start.lat, start.lon), tile_side(localizer.config, side_m)
+            self.scorer, aerial_map, (start.lat, start.lon), tile_side(localizer.config, side_m)
         )
         self.temperature = localizer.temperature
         self.rng = np.random.default_rng(self.settings.seed)
@@ -302,8 +302,8 @@ class Tracker:
         middle = tile.poses(mean[None])[0]
         reach = DEVIATIONS * spread / [tile.side_m, tile.side_m, 1.0]
         if max(reach[0], reach[1]) > DEVIATIONS * WIDE_SHARE:
-            return self.scorer.whole(ground, tile.encoded).at(poses)
-        return self.scorer.around(ground, tile.encoded, middle, reach).at(poses)
+            return self.scorer.whole(ground, tile.scored).at(poses)
+        return self.scorer.around(ground, tile.scored, middle, reach).at(poses)
 
     def _begin(self, ground: Tensor | None) -> None:
         """The first belief: what the first image says within what is known of the place."""
