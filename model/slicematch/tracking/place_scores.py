@@ -77,15 +77,14 @@ class PlaceCandidates:
                 slots.append(slot.short())
             ends = torch.tensor(starts, device=self.device)
             self._bands.append((torch.cat(used), ends, torch.stack(slots)))
-        self.slices = slices
+        self.slices, self.bands = slices, bands
 
     def window(self, places: Integers, headings: Integers) -> Candidates:
         """The candidates of some places [p] (row * C + column), and of some headings [h] there."""
         poses = self._poses[places][:, headings].reshape(-1, 3)
-        bands = len(self._bands)
         return _Window(
             poses=poses,
-            index=torch.empty(0, self.slices, bands, dtype=torch.long, device=self.device),
+            index=torch.empty(0, self.slices, self.bands, dtype=torch.long, device=self.device),
             masks=self.masks,
             cells=self.cells,
             shape=(len(poses),),
@@ -97,30 +96,33 @@ class PlaceCandidates:
     def shared_plans(self, places: Integers, headings: Integers) -> list[SharedPlan]:
         """How the masks of some places are pooled, band by band, where slices share attention."""
         plans = []
-        for band in range(len(self._bands)):
+        for band in range(self.bands):
             rows, slot = self.rows(band, places, headings)
             plans.append(SharedPlan(self.masks_of(band, rows), slot))
         return plans
 
+    def counts(self, band: int, places: Integers) -> Tensor:
+        """How many masks a band has at some places, int64 [p]."""
+        starts, at = self._bands[band][1], torch.from_numpy(places).to(self.device)
+        return starts[at + 1] - starts[at]
+
     def rows(self, band: int, places: Integers, headings: Integers) -> tuple[Tensor, Tensor]:
-        """Where a band's masks of some places stand, place by place, and which slices they serve.
+        """Where a band's masks of some places stand among all, and which slices they serve.
 
         Returns
         -------
         rows : int64 [R]
-            Numbers in the order of all places.
+            Place by place.
         slot : int64 [p * h, N]
             As `SharedPlan.slot`, among these rows.
         """
         _, starts, slots = self._bands[band]
         at, turned = (torch.from_numpy(some).to(self.device) for some in (places, headings))
-        first, counts = starts[at], starts[at + 1] - starts[at]
+        counts = self.counts(band, places)
         before = torch.cumsum(counts, 0) - counts
-        rows = torch.arange(int(counts.sum()), device=self.device)
-        rows = rows + torch.repeat_interleave(first - before, counts)
         numbers = torch.arange(self.slices, device=self.device)
         slot = slots[at][:, turned].long() + before[:, None, None]
-        return rows, (slot * self.slices + numbers).flatten(0, 1)
+        return spread(starts[at], counts), (slot * self.slices + numbers).flatten(0, 1)
 
     def indices(self, places: Integers, headings: Integers) -> list[Tensor]:
         """The masks of some places, int64 [p * h, N] for each band."""
@@ -143,15 +145,18 @@ class PlaceCandidates:
         attended = (features * attention).float().flatten(2)[0].T.contiguous()
         return PlaceDescriptors(self, attended)
 
-    def band_sizes(self) -> list[int]:
-        """How many masks each band has, place by place."""
-        return [len(used) for used, _, _ in self._bands]
-
     def masks_of(self, band: int, rows: Tensor) -> Masks:
         """A band's masks by where they stand, int64 [R]."""
         chosen = self._bands[band][0][rows].long()
         lengths = self.masks[0][chosen + 1] - self.masks[0][chosen]
         return take_rows(self.masks, chosen, int(lengths.sum()))
+
+
+def spread(first: Tensor, counts: Tensor) -> Tensor:
+    """Runs of so many numbers [p] from each first one [p], one after another."""
+    before = torch.cumsum(counts, 0) - counts
+    numbers = torch.arange(int(counts.sum()), device=counts.device)
+    return numbers + torch.repeat_interleave(first - before, counts)
 
 
 class PlaceDescriptors:
@@ -166,14 +171,14 @@ class PlaceDescriptors:
 
     def __init__(self, candidates: PlaceCandidates, attended: Tensor) -> None:
         self.candidates, self._attended = candidates, attended
-        # Memory that is not written to is not taken: most places of a tile are never asked for.
-        self._units = [
-            torch.empty(size, attended.shape[1], device=attended.device)
-            for size in candidates.band_sizes()
-        ]
         rows, columns, headings = candidates.grid.shape
+        device, bands = attended.device, candidates.bands
+        # As places become known; most of a tile's are never asked for.
+        self._units = [attended.new_empty(0, attended.shape[1]) for _ in range(bands)]
+        self._kept = [0] * bands  # rows of these in use
+        self._first = torch.zeros(bands, rows * columns, dtype=torch.long, device=device)
         # How many descriptors of each candidate are not zero.
-        self._present = torch.zeros(rows * columns, headings, device=attended.device)
+        self._present = torch.zeros(rows * columns, headings, device=device)
         self._known = np.zeros(rows * columns, dtype=bool)
 
     def learn(self, places: Integers) -> None:
@@ -181,19 +186,34 @@ class PlaceDescriptors:
         new = places[~self._known[places]]
         if not len(new):
             return
+        at = torch.from_numpy(new).to(self._attended.device)
         headings = np.arange(self._present.shape[1], dtype=np.intp)
-        for band, units in enumerate(self._units):
+        for band in range(len(self._units)):
             rows, slot = self.candidates.rows(band, new, headings)
             starts, cells, fractions = self.candidates.masks_of(band, rows)
-            sums = F.embedding_bag(
-                cells, self._attended, starts[:-1], mode="sum", per_sample_weights=fractions.float()
+            weights = fractions.float()
+            learned = unit(
+                F.embedding_bag(
+                    cells, self._attended, starts[:-1], mode="sum", per_sample_weights=weights
+                )
             )
-            learned = unit(sums)
-            units[rows] = learned
+            counts = self.candidates.counts(band, new)
+            self._first[band, at] = self._kept[band] + torch.cumsum(counts, 0) - counts
+            self._keep(band, learned)
             present = (learned != 0).any(dim=1).float()
-            counts = present[slot // self.candidates.slices].sum(dim=1)
-            self._present[torch.from_numpy(new)] += counts.view(len(new), -1)
+            counted = present[slot // self.candidates.slices].sum(dim=1)
+            self._present[at] += counted.view(len(new), -1)
         self._known[new] = True
+
+    def _keep(self, band: int, learned: Tensor) -> None:
+        kept, units = self._kept[band], self._units[band]
+        end = kept + len(learned)
+        if end > len(units):  # with room for more, so that few of them are copied often
+            larger = units.new_empty(end + kept, units.shape[1])
+            larger[:kept] = units[:kept]
+            self._units[band] = units = larger
+        units[kept:end] = learned
+        self._kept[band] = end
 
     def scores(self, ground: Tensor, places: Integers, headings: Integers) -> Tensor:
         """Scores of some headings [h] at some places [p], as `score_candidates`: float32 [p * h].
@@ -209,11 +229,11 @@ class PlaceDescriptors:
         self.learn(places)
         ground = ground[0].float()
         parts = ground.unflatten(0, (-1, len(self._units)))
+        at, turned = (torch.from_numpy(some).to(ground.device) for some in (places, headings))
         total = ground.new_zeros(len(places) * len(headings))
         for band, units in enumerate(self._units):
-            rows, slot = self.candidates.rows(band, places, headings)
+            _, slot = self.candidates.rows(band, places, headings)
+            rows = spread(self._first[band, at], self.candidates.counts(band, places))
             dots = units.index_select(0, rows) @ parts[:, band].T
             total += dots.take(slot).sum(dim=1)
-        at, turned = (torch.from_numpy(some).to(total.device) for some in (places, headings))
-        present = self._present[at][:, turned].flatten()
-        return cosine(total, present, ground.flatten())
+        return cosine(total, self._present[at][:, turned].flatten(), ground.flatten())
