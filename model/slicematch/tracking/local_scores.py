@@ -31,6 +31,8 @@ FINE_GRID, COARSE_GRID = (48, 48, 64), (14, 14, 32)
 # Places along each side, and headings, that are scored around a belief at most.
 MOST_PLACES, MOST_HEADINGS = 11, 33
 LEAST_REACH = 2  # candidates to each side, for the spline
+# Tiles of which the fine candidates are kept: 150 MB each, if all of them are asked for.
+FINE_TILES_KEPT = 4
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,7 @@ class LocalScorer:
             PlaceCandidates(candidates.to(localizer.device), grid)
             for candidates, grid in ((coarse, self.coarse_grid), (every, self.fine_grid))
         )
+        self._recent: list[PlaceDescriptors] = []  # the last one that was used is the last
 
     def describe(self, tile: AerialTile) -> ScoredTile:
         """What a tile shows: all of the coarse candidates, of the fine ones what is asked for."""
@@ -152,6 +155,7 @@ class LocalScorer:
             How far from it scores are needed, in the same units; beyond what the fine candidates
             cover, and what can be scored in a frame's time, there are none.
         """
+        self._keep_few(tile.fine)
         grid = self.fine_grid
         step = grid.u[1] - grid.u[0]
         stride = _stride(max(spread[0], spread[1]) / step, MOST_PLACES)
@@ -172,6 +176,12 @@ class LocalScorer:
             (stride, turn),
             wanted * turn == count,
         )
+
+    def _keep_few(self, used: PlaceDescriptors | None) -> None:
+        if used is not None:
+            self._recent = [one for one in self._recent if one is not used] + [used]
+            while len(self._recent) > FINE_TILES_KEPT:
+                self._recent.pop(0).forget()
 
     def _scores(
         self,

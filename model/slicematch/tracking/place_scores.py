@@ -171,8 +171,13 @@ class PlaceDescriptors:
 
     def __init__(self, candidates: PlaceCandidates, attended: Tensor) -> None:
         self.candidates, self._attended = candidates, attended
-        rows, columns, headings = candidates.grid.shape
-        device, bands = attended.device, candidates.bands
+        self.forget()
+
+    def forget(self) -> None:
+        """Give back the memory of what is known."""
+        attended = self._attended
+        rows, columns, headings = self.candidates.grid.shape
+        device, bands = attended.device, self.candidates.bands
         # As places become known; most of a tile's are never asked for.
         self._units = [attended.new_empty(0, attended.shape[1]) for _ in range(bands)]
         self._kept = [0] * bands  # rows of these in use
@@ -209,7 +214,7 @@ class PlaceDescriptors:
         kept, units = self._kept[band], self._units[band]
         end = kept + len(learned)
         if end > len(units):  # with room for more, so that few of them are copied often
-            larger = units.new_empty(end + kept, units.shape[1])
+            larger = units.new_empty(end + kept // 2, units.shape[1])
             larger[:kept] = units[:kept]
             self._units[band] = units = larger
         units[kept:end] = learned
