@@ -98,7 +98,7 @@ bench: $(VENV)/.full
 # What only builds of torch with CUDA need is left out: other builds do without.
 constraints:
 	$(PYTHON) -m venv --clear build/newest
-	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,export,maps,drives,dask,synth,app,test,docs,lint,bench]'
+	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,export,maps,drives,rerun,dask,synth,app,test,docs,lint,bench]'
 	build/newest/bin/python -m pip freeze --exclude-editable > build/newest.txt
 	(head -n 1 constraints.txt && sed 's/+[a-z0-9.]*$$//' build/newest.txt \
 		| grep -v -e '^nvidia' -e '^cuda') > build/constraints.txt

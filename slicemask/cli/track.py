@@ -45,6 +45,7 @@ _HEADING_DEG = 15.0
 @click.option("--smooth", "smoothed", is_flag=True, help="Let later frames improve earlier ones.")
 @click.option("--picture", metavar="FILE", help="The track on its map: PNG, SVG, PDF.")
 @click.option("--animation", metavar="FILE", help="The track frame by frame: GIF.")
+@click.option("--rerun", metavar="FILE", help="For the Rerun viewer: .rrd.")
 @click.option("--image-topic", help="Of a bag.  [default: its only one of images]")
 @click.option("--odometry-topic", help="Of a bag.  [default: its only one of odometry]")
 @click.option("--imu-topic", help="Of a bag, for yaw rates.  [default: its only one]")

@@ -59,23 +59,27 @@ def serve():
 
 
 @pytest.fixture(scope="session")
-def finder(serve, tmp_path_factory):
+def finder(serve, tree_writers, tmp_path_factory):
     """The address of the page with a tiny run, whose answers are as good as any to look at."""
     pytest.importorskip("torch")
     tree = tmp_path_factory.mktemp("data") / "vigor"
-    _tree_writer()(tree, 3, cities=("NewYork",), panorama_size=(128, 256), tile_pixels=160)
+    tree_writers.write_vigor_tree(
+        tree, 3, cities=("NewYork",), panorama_size=(128, 256), tile_pixels=160
+    )
     cache = {"SLICEMASK_CACHE": str(tmp_path_factory.mktemp("banks"))}
     return serve(str(RUN), "--data", str(tree), env=cache)
 
 
-def _tree_writer():
-    """The function that writes small data trees, of the tests of the model."""
+@pytest.fixture(scope="session")
+def tree_writers():
+    """The functions that write small data trees and maps, of the tests of the model."""
+    pytest.importorskip("torch")
     path = ROOT / "tests" / "slicematch" / "conftest.py"
     spec = importlib.util.spec_from_file_location("small_data_trees", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # where its dataclasses look
     spec.loader.exec_module(module)
-    return module.write_vigor_tree
+    return module
 
 
 @pytest.fixture(scope="session")

@@ -34,11 +34,15 @@ class Hypothesis:
         1 in all.
     probability : float
         That it is the right one.
+    waiting : float
+        What the images have counted that it has not been weighed by: the less likely ones take
+        turns.
     """
 
     states: Floats
     weights: Floats
     probability: float
+    waiting: float = 0.0
 
     def mean(self) -> Floats:
         """The mean pose, float64 [3]; the heading the short way round, in [0, 360)."""
@@ -103,6 +107,7 @@ def merged(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
                         ]
                     ),
                     total,
+                    other.waiting,
                 )
                 break
         else:

@@ -8,7 +8,6 @@ candidates get a spline's value. A search scores coarse candidates of the whole 
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +19,8 @@ from torch import Tensor
 from slicemask import PoseGrid, build_bank
 from slicematch.localization.localizer import Localizer, load_candidates
 from slicematch.localization.tiles import AerialTile
-from slicematch.scoring.candidates import Candidates
-from slicematch.scoring.plan import Masks, PoolingPlan, SharedPlan, plan_pooling, take_rows
 from slicematch.scoring.scores import score_candidates
+from slicematch.tracking.place_scores import PlaceCandidates, PlaceDescriptors
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.intp]
@@ -33,6 +31,8 @@ FINE_GRID, COARSE_GRID = (48, 48, 64), (14, 14, 32)
 # Places along each side, and headings, that are scored around a belief at most.
 MOST_PLACES, MOST_HEADINGS = 11, 33
 LEAST_REACH = 2  # candidates to each side, for the spline
+# Tiles of which the fine candidates are kept: 150 MB each, if all of them are asked for.
+FINE_TILES_KEPT = 4
 
 
 @dataclass(frozen=True)
@@ -80,99 +80,19 @@ class Volume:
 
 
 @dataclass(frozen=True)
-class _Window(Candidates):
-    """Some candidates of a `FineCandidates`, whose masks are laid out place by place.
+class ScoredTile:
+    """A tile with what it shows at candidates; made by `LocalScorer.describe`.
 
     Attributes
     ----------
-    fine : FineCandidates
-    chosen : (int [p], int [h])
-        The places and headings.
+    encoded : AerialTile
+    fine, coarse : PlaceDescriptors or None
+        None where each slice has an attention map of its own: there is nothing to be kept then.
     """
 
-    fine: "FineCandidates"
-    chosen: tuple[Integers, Integers]
-
-    @cached_property
-    def shared_plans(self) -> list[SharedPlan]:
-        """As `Candidates.shared_plans`, from what each place keeps."""
-        return self.fine.shared_plans(*self.chosen)
-
-    @cached_property
-    def plans(self) -> list[PoolingPlan]:
-        """As `Candidates.plans`."""
-        return [plan_pooling(index, self.masks) for index in self.fine.indices(*self.chosen)]
-
-
-class FineCandidates:
-    """All candidates of a grid, of which windows are taken frame by frame.
-
-    Parameters
-    ----------
-    candidates : Candidates
-        Of a whole grid.
-    grid : PoseGrid
-        That grid.
-    """
-
-    def __init__(self, candidates: Candidates, grid: PoseGrid) -> None:
-        self.grid, self.cells = grid, candidates.cells
-        self.device = candidates.index.device
-        rows, columns, headings = grid.shape
-        slices, bands = candidates.index.shape[1:]
-        self.masks: Masks = candidates.masks
-        self._poses = candidates.poses.reshape(rows * columns, headings, 3)
-        index = candidates.index.view(rows * columns, headings, slices, bands)
-        self._bands: list[tuple[Tensor, Tensor, Tensor]] = []
-        for band in range(bands):
-            used, starts, slots = [], [0], []
-            for place in index[..., band].unbind():
-                distinct, slot = torch.unique(place, return_inverse=True)
-                used.append(distinct.int())
-                starts.append(starts[-1] + len(distinct))
-                slots.append(slot.short())
-            ends = torch.tensor(starts, device=self.device)
-            self._bands.append((torch.cat(used), ends, torch.stack(slots)))
-        self._slices = slices
-
-    def window(self, places: Integers, headings: Integers) -> Candidates:
-        """The candidates of some places [p] (row * C + column), and of some headings [h] there."""
-        poses = self._poses[places][:, headings].reshape(-1, 3)
-        bands = len(self._bands)
-        return _Window(
-            poses=poses,
-            index=torch.empty(0, self._slices, bands, dtype=torch.long, device=self.device),
-            masks=self.masks,
-            cells=self.cells,
-            shape=(len(poses),),
-            grid_index=torch.arange(len(poses)),
-            fine=self,
-            chosen=(places, headings),
-        )
-
-    def shared_plans(self, places: Integers, headings: Integers) -> list[SharedPlan]:
-        """How the masks of some places are pooled, band by band, where slices share attention."""
-        numbers = torch.arange(self._slices, device=self.device)
-        at, turned = (torch.from_numpy(some).to(self.device) for some in (places, headings))
-        plans = []
-        for used, starts, slots in self._bands:
-            first, counts = starts[at], starts[at + 1] - starts[at]
-            before = torch.cumsum(counts, 0) - counts
-            rows = torch.arange(int(counts.sum()), device=self.device)
-            chosen = used[rows + torch.repeat_interleave(first - before, counts)].long()
-            lengths = self.masks[0][chosen + 1] - self.masks[0][chosen]
-            slot = slots[at][:, turned].long() + before[:, None, None]
-            slot = (slot * self._slices + numbers).flatten(0, 1)
-            plans.append(SharedPlan(take_rows(self.masks, chosen, int(lengths.sum())), slot))
-        return plans
-
-    def indices(self, places: Integers, headings: Integers) -> list[Tensor]:
-        """The masks of some places, int64 [p * h, N] for each band."""
-        at, turned = (torch.from_numpy(some).to(self.device) for some in (places, headings))
-        return [
-            used[starts[at][:, None, None] + slots[at][:, turned].long()].long().flatten(0, 1)
-            for used, starts, slots in self._bands
-        ]
+    encoded: AerialTile
+    fine: PlaceDescriptors | None
+    coarse: PlaceDescriptors | None
 
 
 class LocalScorer:
@@ -181,7 +101,7 @@ class LocalScorer:
     Parameters
     ----------
     localizer : Localizer
-        A run whose slices share one attention map, or not; the former is faster.
+        A run whose slices share one attention map, or not; the former is several times faster.
     cache : path, optional
         The folder of banks.
     """
@@ -195,28 +115,47 @@ class LocalScorer:
         banks = [build_bank(grid, frustum, cells, cache=cache).path for grid in grids]
         loaded = [load_candidates(bank, frustum, cells) for bank in banks]
         (every, self.fine_grid), (coarse, self.coarse_grid) = loaded
-        self.coarse = coarse.to(localizer.device)
-        self.fine = FineCandidates(every.to(localizer.device), self.fine_grid)
+        self.coarse, self.fine = (
+            PlaceCandidates(candidates.to(localizer.device), grid)
+            for candidates, grid in ((coarse, self.coarse_grid), (every, self.fine_grid))
+        )
+        self._recent: list[PlaceDescriptors] = []  # the last one that was used is the last
 
-    def whole(self, ground: Tensor, tile: AerialTile) -> Volume:
+    def describe(self, tile: AerialTile) -> ScoredTile:
+        """What a tile shows: all of the coarse candidates, of the fine ones what is asked for."""
+        model = self.localizer.model
+        if model.aerial_attention.cross_view:
+            return ScoredTile(tile, None, None)
+        with torch.inference_mode():
+            attention = model.aerial_attention.attention(tile.features)
+            fine, coarse = (
+                places.describe(tile.features, attention) for places in (self.fine, self.coarse)
+            )
+            coarse.learn(_every(COARSE_GRID[0] * COARSE_GRID[1]))
+        return ScoredTile(tile, fine, coarse)
+
+    def whole(self, ground: Tensor, tile: ScoredTile) -> Volume:
         """Scores of coarse candidates of a whole tile."""
-        scores = self._scores(ground, tile, self.coarse)
+        rows, columns, headings = COARSE_GRID
+        chosen = _every(rows * columns), _every(headings)
+        scores = self._scores(ground, tile, tile.coarse, self.coarse, *chosen)
         return _volume(scores.reshape(COARSE_GRID), self.coarse_grid, (0, 0, 0), (1, 1), True)
 
-    def around(self, ground: Tensor, tile: AerialTile, pose: Floats, spread: Floats) -> Volume:
+    def around(self, ground: Tensor, tile: ScoredTile, pose: Floats, spread: Floats) -> Volume:
         """Scores of fine candidates around a pose.
 
         Parameters
         ----------
         ground : float [1, N * B, C]
             d_g^{n,b}.
-        tile : AerialTile
+        tile : ScoredTile
         pose : float64 [3]
             u, v, heading_deg.
         spread : float64 [3]
             How far from it scores are needed, in the same units; beyond what the fine candidates
             cover, and what can be scored in a frame's time, there are none.
         """
+        self._keep_few(tile.fine)
         grid = self.fine_grid
         step = grid.u[1] - grid.u[0]
         stride = _stride(max(spread[0], spread[1]) / step, MOST_PLACES)
@@ -229,7 +168,7 @@ class LocalScorer:
         first_heading = (round(pose[2] / step_deg / turn) - wanted // 2) * turn
         headings = first_heading + turn * np.arange(wanted)
         places = (rows[:, None] * grid.shape[1] + columns).ravel()
-        scores = self._scores(ground, tile, self.fine.window(places, headings % count))
+        scores = self._scores(ground, tile, tile.fine, self.fine, places, headings % count)
         return _volume(
             scores.reshape(len(rows), len(columns), wanted),
             grid,
@@ -238,13 +177,34 @@ class LocalScorer:
             wanted * turn == count,
         )
 
+    def _keep_few(self, used: PlaceDescriptors | None) -> None:
+        if used is not None:
+            self._recent = [one for one in self._recent if one is not used] + [used]
+            while len(self._recent) > FINE_TILES_KEPT:
+                self._recent.pop(0).forget()
+
     def _scores(
-        self, ground: Tensor, tile: AerialTile, candidates: Candidates
+        self,
+        ground: Tensor,
+        tile: ScoredTile,
+        known: PlaceDescriptors | None,
+        candidates: PlaceCandidates,
+        places: Integers,
+        headings: Integers,
     ) -> NDArray[np.float32]:
         with torch.inference_mode():
-            attention = self.localizer.model.attend(tile.features, ground)
-            scored = score_candidates(ground, tile.features, attention, candidates)
-        return np.asarray(scored[0].float().cpu().numpy())
+            if known is not None:
+                scores = known.scores(ground, places, headings)
+            else:
+                features = tile.encoded.features
+                attention = self.localizer.model.attend(features, ground)
+                window = candidates.window(places, headings)
+                scores = score_candidates(ground, features, attention, window)[0]
+        return np.asarray(scores.float().cpu().numpy())
+
+
+def _every(count: int) -> Integers:
+    return np.arange(count, dtype=np.intp)
 
 
 def _stride(reach: float, most: int) -> int:

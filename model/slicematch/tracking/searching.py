@@ -34,6 +34,8 @@ class Search:
     ----------
     found : list of Hypothesis
         At places that no hypothesis has; their probabilities are those within the tile.
+    known : float64 [hypotheses]
+        Probabilities within the tile of what was found where each hypothesis is already.
     scores : float32 [rows, columns, headings]
         Of the tile's candidates.
     agrees : bool
@@ -41,6 +43,7 @@ class Search:
     """
 
     found: list[Hypothesis]
+    known: Floats
     scores: NDArray[np.float32]
     agrees: bool
 
@@ -93,7 +96,7 @@ class Searcher:
         tile = self.tiles.at(0.0, 0.0)
         if ground is None or tile is None:
             return [self._blind(within_m, heading, particles, noise)]
-        scores = self.scorer.whole(ground, tile.encoded).scores
+        scores = self.scorer.whole(ground, tile.scored).scores
         poses = tile.states(self.scorer.coarse_grid.poses())
         prior = np.zeros(len(poses))
         if within_m is not None:
@@ -128,13 +131,19 @@ class Searcher:
         tile = self.tiles.at(best[0] + east * away_m, best[1] + north * away_m)
         if tile is None:
             return None
-        scores = self.scorer.whole(ground, tile.encoded).scores
+        scores = self.scorer.whole(ground, tile.scored).scores
         poses = tile.states(self.scorer.coarse_grid.poses())
         likely = probabilities(scores.ravel(), self.temperature)
         found = self._modes(tile, poses, likely, SEARCH_MODES, particles, noise)
         means = [one.mean() for one in hypotheses]
-        new = [one for one in found if not any(_known(one.mean(), mean) for mean in means)]
-        return Search(new, scores, _known(found[0].mean(), best))
+        new, known = [], np.zeros(len(means))
+        for one in found:
+            same = [number for number, mean in enumerate(means) if _known(one.mean(), mean)]
+            if same:
+                known[same[0]] += one.probability
+            else:
+                new.append(one)
+        return Search(new, known, scores, _known(found[0].mean(), best))
 
     def _modes(
         self,

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from slicematch.data.errors import PlaceError
 from slicematch.data.maps import AerialMap
 from slicematch.localization.geodesy import offset_m, offset_position
-from slicematch.localization.localizer import Localizer
-from slicematch.localization.tiles import AerialTile
+from slicematch.tracking.local_scores import LocalScorer, ScoredTile
 
 log = logging.getLogger(__name__)
 
@@ -22,7 +21,7 @@ Key = tuple[int, int]
 # The lattice's step, in shares of a tile's side: a camera is at most an eighth of the side from the
 # middle of its tile, to the east and to the north, far from all edges.
 STEP_SHARE = 1 / 4
-TILES_KEPT = 64
+TILES_KEPT = 24
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class TrackTile:
 
     Attributes
     ----------
-    encoded : AerialTile
+    scored : ScoredTile
     east_m, north_m : float
         Its centre.
     turn_deg : float
@@ -40,7 +39,7 @@ class TrackTile:
         Of its window.
     """
 
-    encoded: AerialTile
+    scored: ScoredTile
     east_m: float
     north_m: float
     turn_deg: float
@@ -77,7 +76,7 @@ class TrackTiles:
 
     Parameters
     ----------
-    localizer : Localizer
+    scorer : LocalScorer
     aerial_map : AerialMap
     origin : (latitude, longitude)
     side_m : float
@@ -86,12 +85,12 @@ class TrackTiles:
 
     def __init__(
         self,
-        localizer: Localizer,
+        scorer: LocalScorer,
         aerial_map: AerialMap,
         origin: tuple[float, float],
         side_m: float,
     ) -> None:
-        self.localizer, self.map = localizer, aerial_map
+        self.scorer, self.map = scorer, aerial_map
         self.origin, self.side_m = origin, side_m
         self.step_m = STEP_SHARE * side_m
         self._tiles: OrderedDict[Key, Future[TrackTile | None]] = OrderedDict()
@@ -138,14 +137,16 @@ class TrackTiles:
     def _encode(self, key: Key) -> TrackTile | None:
         east_m, north_m = (self.step_m * number for number in key)
         lat, lon = self.globe(east_m, north_m)
+        localizer = self.scorer.localizer
         try:
-            tile = self.map.cut(lat, lon, self.side_m, self.localizer.config.aerial_size)
+            tile = self.map.cut(lat, lon, self.side_m, localizer.config.aerial_size)
         except PlaceError as error:
             log.debug("%s", error)
             return None
-        encoded = self.localizer.encode_aerial(tile.image, metres_per_pixel=tile.metres_per_pixel)
+        encoded = localizer.encode_aerial(tile.image, metres_per_pixel=tile.metres_per_pixel)
+        scored = self.scorer.describe(encoded)
         side_m = encoded.side_m or self.side_m
-        return TrackTile(encoded, east_m, north_m, self.turn_deg(lat, lon), side_m)
+        return TrackTile(scored, east_m, north_m, self.turn_deg(lat, lon), side_m)
 
 
 def convergence_deg(origin: tuple[float, float], place: tuple[float, float]) -> float:

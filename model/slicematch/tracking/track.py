@@ -102,6 +102,7 @@ def track(
     smoothed: bool = False,
     picture: str | Path | None = None,
     animation: str | Path | None = None,
+    rerun: str | Path | None = None,
     topics: dict[str, str] | None = None,
     map_crs: str | None = None,
     side_m: float | None = None,
@@ -135,6 +136,8 @@ def track(
         Let later frames have a say in earlier ones, once the drive is over.
     picture, animation : path, optional
         The track on its map with ellipses: PNG, SVG or PDF; and frame by frame: GIF.
+    rerun : path, optional
+        For the Rerun viewer, ``.rrd`` (`slicematch.tracking.rerun_output.save_rerun`).
     topics : dict, optional
         Of a bag: ``image_topic``, ``odometry_topic``, ``imu_topic``, ``fix_topic``.
     map_crs, side_m
@@ -156,7 +159,7 @@ def track(
     OutputError, PlotError
         If a file cannot be written where it should go.
     """
-    targets = _check_targets(out, picture, animation)
+    targets = _check_targets(out, picture, animation, rerun)
     config = RunFolder(find_run(run)).load_config()
     tile_side(config, side_m)  # the likeliest slips, before anything is loaded
     opened = AerialMap.open(aerial_map, map_crs)
@@ -189,11 +192,19 @@ def track(
             save_picture(opened, found, truths, targets["picture"])
         if "animation" in targets:
             save_animation(opened, found, truths, targets["animation"])
+    if "rerun" in targets:
+        from slicematch.tracking.rerun_output import save_rerun
+
+        images = [frame.image for frame in frames]
+        save_rerun(opened, found, images, truths, targets["rerun"])
     return Tracked(found, smoothed, errors, notes, targets)
 
 
 def _check_targets(
-    out: str | Path, picture: str | Path | None, animation: str | Path | None
+    out: str | Path,
+    picture: str | Path | None,
+    animation: str | Path | None,
+    rerun: str | Path | None,
 ) -> dict[str, Path]:
     targets = {"out": check_track_target(out)}
     if picture is not None:
@@ -204,6 +215,10 @@ def _check_targets(
         from slicematch.tracking.pictures import check_animation_target
 
         targets["animation"] = check_animation_target(animation)
+    if rerun is not None:
+        from slicematch.tracking.rerun_output import check_rerun_target
+
+        targets["rerun"] = check_rerun_target(rerun)
     return targets
 
 

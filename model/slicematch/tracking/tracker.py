@@ -89,10 +89,15 @@ class TrackSettings:
 
 # In doubt are beliefs whose likeliest hypothesis is less likely than this.
 SURE = 0.9
+# How likely an image is at least, against the best place, where a search asks whether the belief
+# is lost.
+SURPRISE = 0.01
 # Beyond this much of a gap the motion between two frames is anybody's guess.
 LONGEST_GAP_S = 10.0
 # Particles' spread around a mean that scores are needed for, in standard deviations.
 DEVIATIONS = 2.5
+# How many hypotheses a frame weighs: the likeliest, and of the others those that waited longest.
+WEIGHED_AT_ONCE = 3
 # A cloud wider than this, in shares of the tile's side, is scored by coarse candidates.
 WIDE_SHARE = 1 / 10
 
@@ -155,7 +160,7 @@ class Tracker:
         self.start, self.start_heading = start, heading
         self.scorer = LocalScorer(localizer, cache)
         self.tiles = TrackTiles(
-            localizer, aerial_map, (start.lat, start.lon), tile_side(localizer.config, side_m)
+            self.scorer, aerial_map, (start.lat, start.lon), tile_side(localizer.config, side_m)
         )
         self.temperature = localizer.temperature
         self.rng = np.random.default_rng(self.settings.seed)
@@ -272,19 +277,25 @@ class Tracker:
         if ground is None:
             return False
         share = min(1.0, max(self._way_m / self.settings.independent_m, self.settings.standing))
-        scores = [self._scores(ground, one) for one in self.hypotheses]
+        self.hypotheses = [
+            replace(one, waiting=min(1.0, one.waiting + share)) for one in self.hypotheses
+        ]
+        turn = sorted(self.hypotheses[1:], key=lambda one: -one.waiting)[: WEIGHED_AT_ONCE - 1]
+        turn.insert(0, self.hypotheses[0])
+        scores = [self._scores(ground, one) for one in turn]
         best = max((float(some.max()) for some in scores if some is not None), default=0.0)
         if any(some is None for some in scores):
             self._say("the map ends here, so that the belief goes on by odometry alone")
-        weighed = []
-        for one, some in zip(self.hypotheses, scores, strict=True):
+        weighed = [one for one in self.hypotheses if all(one is not other for other in turn)]
+        for one, some in zip(turn, scores, strict=True):
             if some is None:  # no more likely than a place that looks otherwise
                 some = np.full(len(one.weights), -math.inf)
-            after, evidence = one.weighed(share * np.log(self._likelihood(some, best)))
-            weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
+            after, evidence = one.weighed(one.waiting * np.log(self._likelihood(some, best)))
+            probability = one.probability * math.exp(evidence)
+            weighed.append(replace(after, probability=probability, waiting=0.0))
         belief = [
             (one.probability * one.weights, some)
-            for one, some in zip(self.hypotheses, scores, strict=True)
+            for one, some in zip(turn, scores, strict=True)
             if some is not None
         ]
         self.hypotheses = normalised(weighed)
@@ -302,8 +313,8 @@ class Tracker:
         middle = tile.poses(mean[None])[0]
         reach = DEVIATIONS * spread / [tile.side_m, tile.side_m, 1.0]
         if max(reach[0], reach[1]) > DEVIATIONS * WIDE_SHARE:
-            return self.scorer.whole(ground, tile.encoded).at(poses)
-        return self.scorer.around(ground, tile.encoded, middle, reach).at(poses)
+            return self.scorer.whole(ground, tile.scored).at(poses)
+        return self.scorer.around(ground, tile.scored, middle, reach).at(poses)
 
     def _begin(self, ground: Tensor | None) -> None:
         """The first belief: what the first image says within what is known of the place."""
@@ -330,23 +341,24 @@ class Tracker:
             weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
             most = max(float(scores.max()), float(search.scores.max()))
             lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
-            lost *= float(self._likelihood(search.scores.astype(np.float64), most).mean())
-            kept = (1.0 - lost) * float(weights @ self._likelihood(scores, most) / weights.sum())
+            kept = 1.0 - lost
+            lost *= float(self._likelihood(search.scores.astype(np.float64), most, SURPRISE).mean())
+            kept *= float(weights @ self._likelihood(scores, most, SURPRISE) / weights.sum())
             lost /= lost + kept
+            found = [replace(one, probability=one.probability * lost) for one in search.found]
+            again = search.known * lost
             self.hypotheses = [
-                *(
-                    replace(one, probability=one.probability * (1 - lost))
-                    for one in self.hypotheses
-                ),
-                *(replace(one, probability=one.probability * lost) for one in search.found),
-            ]
+                replace(one, probability=one.probability * (1.0 - lost) + float(more))
+                for one, more in zip(self.hypotheses, again, strict=True)
+            ] + found
         self._doubt = best.probability < SURE or (search is not None and not search.agrees)
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
         self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
 
-    def _likelihood(self, scores: Floats, most: float) -> Floats:
+    def _likelihood(self, scores: Floats, most: float, least: float | None = None) -> Floats:
         """How likely places are by their scores, against the best one."""
-        return np.asarray(np.exp((scores - most) / self.temperature) + self.settings.outliers)
+        least = self.settings.outliers if least is None else least
+        return np.asarray(np.exp((scores - most) / self.temperature) + least)
 
     def _resample(self) -> None:
         settings = self.settings
