@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any, Protocol
 
 from slicemask.errors import SynthError
 from slicemask.files import check_folder
-from slicemask.interrupts import CancelCheck, run_cancellable
+from slicemask.interrupts import CancelCheck, Cancelled, run_cancellable
 from slicemask.synth.formats import kitti, vigor
 from slicemask.synth.formats.files import write_text
 from slicemask.synth.vary.switches import check_switches
@@ -304,11 +305,12 @@ def run_tasks(
             progress(0, total)
         if jobs == 1:
             for task in tasks:
-                check()
-                count(task, task.run())
+                count(task, _run(task, check))
             return
         # Spawned, because forking a process that has threads, as one with torch has, can lock up.
-        pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+        context = multiprocessing.get_context("spawn")
+        stopping = context.Event()
+        pool = ProcessPoolExecutor(jobs, context, _share_stopping, (stopping,))
         # Its processes inherit this: an interrupt is for this one to act on, and they end with it.
         if hasattr(signal, "pthread_sigmask"):
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -327,11 +329,34 @@ def run_tasks(
                 f"{jobs}, and it goes on"
             ) from error
         finally:
+            stopping.set()
             pool.shutdown(cancel_futures=True)
 
     run_cancellable(render)
     return SynthResult(root, total, rendered)
 
 
+def _run(task: _Task, check: CancelCheck) -> int:
+    """Run a task, which may be one of many images: work may stop between them."""
+    written = 0
+    for part in task.tasks if isinstance(task, vigor.PlaceTask) else (task,):
+        check()
+        written += part.run()
+    return written
+
+
+# In a process that renders: set once its work is wanted no longer.
+_stopping: Event | None = None
+
+
+def _share_stopping(stopping: Event) -> None:
+    global _stopping
+    _stopping = stopping
+
+
 def _run_task(task: _Task) -> int:
-    return task.run()
+    def check() -> None:
+        if _stopping is not None and _stopping.is_set():
+            raise Cancelled
+
+    return _run(task, check)

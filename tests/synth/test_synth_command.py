@@ -1,9 +1,12 @@
 """slicemask synth, as a user types it, and what importing slicemask leaves alone."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 
+import pytest
 from click.testing import CliRunner
 
 from slicemask.cli.main import main
@@ -86,3 +89,21 @@ def test_without_the_extra_the_command_says_what_to_install(tmp_path):
     assert found.stderr == (
         "Error: slicemask synth needs trimesh: pip install 'slicemask[synth]'\n"
     )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_city_of_many_places_stops_between_two_images(tmp_path):
+    # Each place is one task of a process that renders, and these two begin at once.
+    arguments = (
+        "--format", "vigor", "--cities", "1", "--places", "2", "--panoramas", "60", "--jobs", "2",
+        "--panorama-size", "64x32", "--tile-size", "64", "--seed", "3", "--out", str(tmp_path),
+    )  # fmt: skip
+    process = subprocess.Popen(
+        [sys.executable, "-m", "slicemask", "synth", *arguments], stderr=subprocess.DEVNULL
+    )
+    while not any(tmp_path.rglob("*.jpg")) and process.poll() is None:
+        time.sleep(0.02)
+    process.terminate()
+    assert process.wait() == 128 + signal.SIGTERM
+    assert 0 < len(list(tmp_path.rglob("panorama/*.jpg"))) < 60
+    assert not list(tmp_path.rglob(".*.jpg*")), "a picture that was begun is left behind"
