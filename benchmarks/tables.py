@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from types import ModuleType
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from benchmarks.timing import (
     times,
 )
 from slicemask import Frustum, PoseGrid, open_bank, slice_masks
-from slicemask.geometry import coverage, rays
+from slicemask.geometry.masks import Engine
 
 DEFAULT = ("build", "--grid", "21x21x64", "--hfov", "360", "--force")
 DEFAULT_MASKS = 451_584
@@ -73,37 +72,7 @@ def engine() -> list[Figure]:
     What runs on one thread is given in processor time, which other work on the machine hardly
     touches; whole commands in wall time.
     """
-    figures = []
-    count, batch = 1024, 256
-    sectors = random_slices(count)
-    batches = [[x[start : start + batch] for x in sectors] for start in range(0, count, batch)]
-
-    def mask_seconds(module: ModuleType) -> float:
-        start = time.process_time()
-        for some in batches:
-            module.sector_fractions(*some, 32)
-        return (time.process_time() - start) / count
-
-    # Its coverage is float32.
-    assert np.abs(exactextract_masks(count)[1] - rays.sector_fractions(*sectors, 32)).max() < 1e-6
-    ours, polygons, peer = in_turn(
-        lambda: mask_seconds(rays),
-        lambda: mask_seconds(coverage),
-        lambda: exactextract_masks(count)[0],
-        runs=11,
-    )
-    figures.append(Figure(f"one mask, closed form, one thread, batches of {batch}",
-                          f"{median(ours) * 1e6:.1f} us"))  # fmt: skip
-    ratio = times(peer, ours)
-    figures.append(Figure(
-        f"exactextract 0.3.0 on the same {count:,} polygons, in turn",
-        f"{median(peer) * 1e6:.0f} us, {ratio:.1f} times the closed form",
-        "10 times", ratio >= 10,
-    ))  # fmt: skip
-    figures.append(Figure(
-        "the Shapely engine on the same slices, in turn",
-        f"{median(polygons) * 1e6:.0f} us, {times(polygons, ours):.0f} times",
-    ))  # fmt: skip
+    figures = _public_masks()
     with tempfile.TemporaryDirectory() as folder:
         default, closed = slicemask_commands(
             (*DEFAULT, "--cache", folder),
@@ -126,6 +95,44 @@ def engine() -> list[Figure]:
     seconds = _torch_seconds(poses) / len(poses)
     figures.append(Figure("the same on torch CPU, one thread, forward and backward",
                           f"{seconds * 1e3:.2f} ms", "1 ms", seconds <= 1e-3))  # fmt: skip
+    return figures
+
+
+def _public_masks() -> list[Figure]:
+    """Masks as users call for them, in fresh memory, against exactextract's, in turn."""
+    figures = []
+    for count, runs in ((64, 25), (1_000, 11), (10_000, 5), (100_000, 3)):
+        u, v, left_deg, _ = random_slices(count)
+        poses, frustum = np.column_stack([u, v, left_deg + 11.25]), Frustum(22.5, 1)
+        # What exactextract takes for a mask does not depend on how many there are.
+        sample = min(count, 1_000)
+
+        def mask_seconds(engine: Engine, some: np.ndarray, frustum: Frustum = frustum) -> float:
+            start = time.process_time()
+            slice_masks(some, frustum, 32, engine)
+            return (time.process_time() - start) / len(some)
+
+        works = [
+            lambda: mask_seconds("rays", poses),  # noqa: B023
+            lambda: exactextract_masks(sample)[0],  # noqa: B023
+        ]
+        if count == 1_000:
+            masks = slice_masks(poses, frustum, 32, "rays")[:, 0]
+            # Its coverage is float32.
+            assert np.abs(exactextract_masks(count)[1] - masks).max() < 1e-6
+            works.append(lambda: mask_seconds("shapely", poses))  # noqa: B023
+        ours, peer, *polygons = in_turn(*works, runs=runs)
+        ratio = times(peer, ours)
+        figures.append(Figure(
+            f"slice_masks(engine='rays'), {count:,} masks of 32x32, one thread",
+            f"{median(ours) * 1e6:.1f} us a mask, exactextract 0.3.0 {median(peer) * 1e6:.0f} us: "
+            f"{ratio:.1f} times", "10 times", ratio >= 10,
+        ))  # fmt: skip
+        if polygons:
+            figures.append(Figure(
+                "the Shapely engine on the same slices, in turn",
+                f"{median(polygons[0]) * 1e6:.0f} us, {times(polygons[0], ours):.0f} times",
+            ))  # fmt: skip
     return figures
 
 

@@ -7,15 +7,24 @@ A pair holds two images of the sizes in export.json, as `ground` and `aerial`: u
 [1, height, width, 3], red, green, blue. By default it is the example that export left there.
 """
 
-import sys
+import argparse
 import time
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 
-folder = Path(sys.argv[1])
-pair = np.load(sys.argv[2] if len(sys.argv) > 2 else folder / "example.npz")
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument("folder", type=Path, help="what slicemask export wrote")
+parser.add_argument("pair", nargs="?", help="two images as .npz")
+arguments = parser.parse_args()
+folder = arguments.folder
+for path in (folder / "ground.onnx", Path(arguments.pair or folder / "example.npz")):
+    if not path.is_file():
+        parser.error(f"{path}: no such file; name what slicemask export wrote")
+pair = np.load(arguments.pair or folder / "example.npz")
 candidates = dict(np.load(folder / "candidates.npz"))
 poses = candidates.pop("poses")  # u, v, heading_deg; what is left are their masks, unless baked in
 

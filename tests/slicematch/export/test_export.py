@@ -116,6 +116,24 @@ def test_the_example_needs_onnxruntime_and_numpy_alone(exported):
     assert float(done.stdout.split("at most ")[1].split()[0]) < 1e-5
 
 
+def test_the_example_says_what_it_takes(tmp_path):
+    command = [sys.executable, ROOT / "examples" / "run_onnx.py"]
+    helped = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True)
+    assert "what slicemask export wrote" in helped.stdout
+    done = subprocess.run([*command, tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "ground.onnx: no such file" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_files_hold_nothing_that_is_not_used(exported):
+    for path in exported[0].glob("*.onnx"):
+        graph = onnx.load(path).graph
+        # What a loop's body takes from outside has no input of a node outside.
+        text = str(graph)
+        assert all(text.count(f'"{x.name}"') > 1 for x in graph.initializer), path.name
+
+
 def test_torch_export_with_masks_baked_in(run, cache, tmp_path):
     out = tmp_path / "pt2"
     content = export(run, out, format="torch-export", baked=True, grid=GRID, cache=cache)
