@@ -42,7 +42,7 @@ def app(
     track: str | None,
     **options: Any,
 ) -> None:
-    """Serve a page to look at: slices, answers of a trained RUN, or a track."""
+    """Serve a page: slices, answers of a trained RUN, or a track."""
     if importlib.util.find_spec("panel") is None:
         raise click.ClickException(
             "this command needs panel; install: pip install 'slicemask[app]'"

@@ -29,7 +29,7 @@ _COMMANDS = {
     "evaluate": ("evaluate", "Measure the errors of a trained RUN."),
     "calibrate": ("train", "Fit the temperature that makes scores of a RUN probabilities."),
     "predict": ("predict", "Find where a ground image was taken, with a trained RUN."),
-    "app": ("app", "Serve a page to look at: slices, or answers of a trained RUN."),
+    "app": ("app", "Serve a page: slices, answers of a trained RUN, or a track."),
     "pack": ("pack", "Pack what predicting with a trained RUN takes into a folder."),
     "export": ("export", "Export a RUN as files of ONNX or torch.export."),
     "locate": ("locate", "Find where PHOTOS were taken on a map, with a trained RUN."),

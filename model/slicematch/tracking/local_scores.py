@@ -29,7 +29,7 @@ Integers = NDArray[np.intp]
 FINE_SHARE = 0.5
 FINE_GRID, COARSE_GRID = (48, 48, 64), (14, 14, 32)
 # Places along each side, and headings, that are scored around a belief at most.
-MOST_PLACES, MOST_HEADINGS = 11, 33
+MOST_PLACES, MOST_HEADINGS = 9, 33
 LEAST_REACH = 2  # candidates to each side, for the spline
 # Tiles of which the fine candidates are kept: 150 MB each, if all of them are asked for.
 FINE_TILES_KEPT = 4
@@ -218,7 +218,9 @@ def _stride(reach: float, most: int) -> int:
 def _along(middle: float, reach: float, stride: int, size: int) -> Integers:
     """Which of an axis's values lie so far around one, those that there are."""
     steps = max(LEAST_REACH, int(np.ceil(reach / stride)))
-    at = round(min(max(middle, 0.0), size - 1.0)) + stride * np.arange(-steps, steps + 1)
+    # The same places as in the frame before, where they lie further apart, too: they are known.
+    centre = stride * round(min(max(middle, 0.0), size - 1.0) / stride)
+    at = centre + stride * np.arange(-steps, steps + 1)
     return np.asarray(at[(at >= 0) & (at < size)])
 
 

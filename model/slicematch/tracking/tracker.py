@@ -62,9 +62,9 @@ class TrackSettings:
         The same images and the same seed give the same answers.
     """
 
-    particles: int = 300
+    particles: int = 800
     other_particles: int = 100
-    independent_m: float = 8.0
+    independent_m: float = 3.0
     standing: float = 0.01
     outliers: float = 0.05
     registration_m: float = 0.45
