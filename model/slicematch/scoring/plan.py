@@ -176,4 +176,7 @@ def plan_shared(index: Tensor, masks: Masks) -> SharedPlan:
     slot = torch.empty_like(index, dtype=dtype)
     for n in range(slices):
         slot[:, n] = first[index[:, n]] + n
-    return SharedPlan(take_rows(masks, used, int(lengths[used].sum())), slot)
+    if len(used) < len(lengths):
+        masks = take_rows(masks, used, int(lengths[used].sum()))
+    # Else they are those of the candidates: a copy for a million poses would take 2 GB on its way.
+    return SharedPlan(masks, slot)

@@ -200,6 +200,14 @@ def test_masks_are_pooled_the_way_that_suits_their_use(tmp_path):
         torch.testing.assert_close(score_candidates(*inputs, some.to("cpu")), found)
 
 
+def test_masks_that_are_all_in_use_are_not_copied(tmp_path):
+    candidates = build(tmp_path, PoseGrid.parse("3x4x8"), Frustum(360, 4))
+    (whole,) = candidates.shared_plans
+    assert whole.masks is candidates.masks
+    (some,) = candidates.within(place_prior=(0.2, 0.2, 0.2)).shared_plans
+    assert len(some.masks[0]) < len(whole.masks[0])
+
+
 def test_scoring_asks_for_no_value_that_a_gpu_would_have_to_be_waited_for(bank, kept):
     """Fake tensors know their shapes, and refuse to say their values."""
     candidates = Candidates.from_bank(bank)
