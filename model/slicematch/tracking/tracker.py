@@ -64,7 +64,7 @@ class TrackSettings:
 
     particles: int = 800
     other_particles: int = 100
-    independent_m: float = 3.0
+    independent_m: float = 2.2
     standing: float = 0.01
     outliers: float = 0.05
     registration_m: float = 0.45
