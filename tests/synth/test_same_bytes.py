@@ -1,8 +1,9 @@
 """A seed stays a city: what the first version of the generator made, it makes today.
 
 ``same_bytes.json`` was written by that version; ``python tests/synth/test_same_bytes.py`` writes it
-anew. Digests of pictures hold for the libraries named in it: another Shapely may cut a polygon into
-other triangles, another NumPy round a sine another way. Labels and the pictures' mean colours hold
+anew. Digests of pictures hold for the libraries and the kind of processor named in it: another
+Shapely may cut a polygon into other triangles, another NumPy round a sine another way, and both
+NumPy and Embree round by what instructions there are. Labels and the pictures' mean colours hold
 everywhere.
 """
 
@@ -33,8 +34,14 @@ def generate(root):
 def made_with():
     """What the bytes of a picture depend on."""
     return {name: importlib.metadata.version(name) for name in LIBRARIES} | {
-        "machine": platform.machine()
+        "machine": platform.machine(),
+        "avx512": has_avx512(),
     }
+
+
+def has_avx512():
+    processor = Path("/proc/cpuinfo")
+    return processor.exists() and " avx512f " in processor.read_text()
 
 
 def files(root, *suffixes):
