@@ -70,7 +70,7 @@ class TrackSettings:
     registration_m: float = 0.45
     search_s: float = 1.0
     doubt_search_s: float = 0.5
-    lost_per_s: float = 0.1
+    lost_per_s: float = 0.01
     ahead_s: float = 3.0
     noise: MotionNoise = field(default_factory=MotionNoise)
     seed: int = 0
