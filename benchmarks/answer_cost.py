@@ -9,15 +9,14 @@ import resource
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
 from slicematch import Localizer
+from slicematch.localization.localizer import load_candidates
 from slicematch.network.slicematch import SliceMatch
-from slicematch.scoring.candidates import Candidates
 
-from slicemask import Frustum, PoseGrid, build_bank, open_bank
+from slicemask import Frustum, PoseGrid, build_bank
 
 import timm  # isort: skip  after slicematch: see README
 
@@ -42,8 +41,7 @@ def ours(encoder: str, cross_view_attention: bool = True) -> Callable[[str], Ans
     def load(cache: str) -> Answer:
         frustum = Frustum()
         bank = build_bank(PoseGrid.parse(GRID), frustum, 32, engine="rays", cache=cache)
-        with open_bank(bank.path) as opened:
-            candidates = Candidates.from_bank(opened)
+        candidates, _ = load_candidates(bank.path, frustum, 32)
         model = SliceMatch(encoder, "none", cross_view_attention=cross_view_attention)
         model.for_inference(torch.device("cpu"))
         pair = torch.randn(1, 3, 320, 640), torch.randn(1, 3, 512, 512)
@@ -93,4 +91,4 @@ def main(side: str, cache: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], str(Path(sys.argv[2])))
+    main(*sys.argv[1:])

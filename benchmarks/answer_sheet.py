@@ -9,6 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from slicematch import Estimate
 
+from slicemask.plot import arrow_tip
+
 COLUMNS = 3
 ESTIMATE, TRUTH = "#e6007e", "#00b050"
 
@@ -48,12 +50,11 @@ def _draw(axes: Axes, answer: SheetAnswer) -> None:
         ("truth", TRUTH, answer.truth),
         ("estimate", ESTIMATE, answer.estimate.pose),
     ):
-        u, v, heading = pose[0], pose[1], math.radians(pose[2])
-        axes.plot(u, v, "o", color=colour, markersize=6, label=name)
+        axes.plot(*pose[:2], "o", color=colour, markersize=6, label=name)
         axes.annotate(
             "",
-            (u + 0.13 * math.sin(heading), v - 0.13 * math.cos(heading)),
-            (u, v),
+            arrow_tip(pose, 0.0),
+            pose[:2],
             arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 2},
         )
     axes.set(xlim=(0, 1), ylim=(1, 0), xticks=[], yticks=[])

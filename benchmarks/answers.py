@@ -1,16 +1,12 @@
 """Whole answers on a processor: seconds and memory of each network, beside others' backbones."""
 
-import json
 import statistics
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable
-from typing import Any
 
 from benchmarks.answer_cost import SIDES
 from benchmarks.figure import Figure
-from benchmarks.timing import slicemask_command
+from benchmarks.timing import module_output, slicemask_command
 
 ROUNDS = 3
 # What `--recipe fast` is to stay within: half of others' features, and the command's memory.
@@ -27,10 +23,10 @@ def answers() -> list[Figure]:
     peaks: dict[str, list[float]] = {side: [] for side in SIDES}
     with tempfile.TemporaryDirectory() as cache:
         for side in SIDES:  # builds the banks, which answers find in the cache
-            _run(side, cache)
+            module_output("benchmarks.answer_cost", side, cache)
         for _ in range(ROUNDS):
             for side in SIDES:
-                found = _run(side, cache)
+                found = module_output("benchmarks.answer_cost", side, cache)
                 seconds[side] += found["seconds"]
                 peaks[side].append(found["peak_bytes"])
         command = slicemask_command("predict", "generated-city", "--example", "1",
@@ -53,13 +49,3 @@ def _figures(seconds: dict[str, list[float]], peaks: dict[str, list[float]]) -> 
             yield Figure(label, text, f"{MOST_SHARE} times", cost <= MOST_SHARE * peers)
         else:
             yield Figure(label, text)
-
-
-def _run(side: str, cache: str) -> dict[str, Any]:
-    process = subprocess.run(
-        [sys.executable, "-m", "benchmarks.answer_cost", side, cache],
-        stdout=subprocess.PIPE,
-        check=True,
-    )
-    found: dict[str, Any] = json.loads(process.stdout)
-    return found

@@ -71,9 +71,11 @@ def main(run: str, pairs: Path, draws: int, prior: float | None, refine: Any, gr
         random = np.random.default_rng([seed, number])
         answered = answer_draws(localizer, row, pairs, side, draws, random, prior)
         for k, (draw, estimate) in enumerate(answered):
-            found[row["id"]].append(judge(estimate, draw))
+            judged = judge(estimate, draw)
+            found[row["id"]].append(judged)
             if k == 0:
-                first.append(_for_sheet(row["id"], draw, estimate))
+                side_m = draw.tile.width * draw.metres_per_pixel
+                first.append(SheetAnswer(row["id"], estimate, draw.truth, side_m, _caption(judged)))
                 if pictures is not None:
                     _save_picture(pictures / f"{row['id']}.png", localizer, estimate, draw)
     if sheet is not None:
@@ -222,11 +224,6 @@ def table_of(found: dict[str, list[dict[str, float]]], figures: dict[str, float]
 
 def _caption(judged: dict[str, float]) -> str:
     return f"off by {judged['place_m']:.1f} m and {judged['heading_deg']:.0f} degrees"
-
-
-def _for_sheet(name: str, draw: Draw, estimate: Estimate) -> SheetAnswer:
-    side_m = draw.tile.width * draw.metres_per_pixel
-    return SheetAnswer(name, estimate, draw.truth, side_m, _caption(judge(estimate, draw)))
 
 
 def _save_picture(path: Path, localizer: Localizer, estimate: Estimate, draw: Draw) -> None:

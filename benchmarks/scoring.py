@@ -1,10 +1,7 @@
 """Scoring against the encoders, and against other ways to the same scores."""
 
 import copy
-import json
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,7 +17,7 @@ from slicematch.training.losses import contrastive_loss
 from torch import Tensor
 
 from benchmarks.figure import Figure
-from benchmarks.timing import slicemask_command
+from benchmarks.timing import module_output, slicemask_command
 from slicemask import Frustum, open_bank, slice_masks
 
 SLICES, CHANNELS, CELLS = 16, 512, 32  # VGG16's
@@ -138,12 +135,7 @@ def _csr_scores(
 
 def _cost(bank: Path) -> dict[str, float]:
     """Seconds of the last call and of the first, and peak bytes."""
-    process = subprocess.run(
-        [sys.executable, "-m", "benchmarks.score_bank", str(bank)],
-        stdout=subprocess.PIPE,
-        check=True,
-    )
-    found = json.loads(process.stdout)
+    found = module_output("benchmarks.score_bank", str(bank))
     return {
         "seconds": found["seconds"][-1],
         "first": found["seconds"][0],

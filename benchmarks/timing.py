@@ -4,6 +4,7 @@ What is to be compared runs in turn, A B A B, so that both sides meet the same d
 figures are medians, and ratios medians of the pairs' ratios.
 """
 
+import json
 import os
 import re
 import select
@@ -14,6 +15,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 # What the installed `slicemask` script runs; modules are found compiled, as they are for it.
 _SCRIPT = "from slicemask.cli.main import main; main()"
@@ -51,6 +53,14 @@ def slicemask_commands(*commands: tuple[str, ...], runs: int) -> list[CommandCos
         seconds, processor, peaks = zip(*of_command, strict=True)
         costs.append(CommandCost(seconds, processor, max(peaks)))
     return costs
+
+
+def module_output(name: str, *arguments: str) -> Any:
+    """What a module prints as JSON, run in a process of its own as ``python -m`` does."""
+    process = subprocess.run(
+        [sys.executable, "-m", name, *arguments], stdout=subprocess.PIPE, check=True
+    )
+    return json.loads(process.stdout)
 
 
 def _run(arguments: tuple[str, ...]) -> tuple[float, float, float]:

@@ -55,6 +55,10 @@ class _Task(Protocol):
     def run(self) -> int: ...
 
 
+# What a process is given at once: a task, or many that share scenes.
+_Work = _Task | vigor.PlaceTask
+
+
 def generate_vigor(
     out: str | os.PathLike[str],
     *,
@@ -145,7 +149,7 @@ def generate_vigor(
         vigor.city_specs(replace(whole, city=city), places, plain_places) for city in range(cities)
     ]
     # Planned before anything is written: not every plan can be.
-    tasks: list[_Task] = [
+    tasks: list[_Work] = [
         task for city in specs for spec in city for task in vigor.list_tasks(root, spec)
     ]
     record: dict[str, Any] = {
@@ -229,7 +233,7 @@ def generate_kitti(
             "tile_size": tile_size,
         },
     )
-    tasks: list[_Task] = []
+    tasks: list[_Work] = []
     for area, counts in enumerate(kitti.count_frames(frames)):
         spec = kitti.KittiSpec(seed, area, counts, (columns, rows), tile_size)
         tasks += kitti.list_tasks(root, spec)
@@ -280,7 +284,7 @@ def claim_folder(root: Path, record: dict[str, Any]) -> None:
 
 
 def run_tasks(
-    root: Path, tasks: Sequence[_Task], jobs: int, progress: Progress | None
+    root: Path, tasks: Sequence[_Work], jobs: int, progress: Progress | None
 ) -> SynthResult:
     """Run tasks on processes of their own, and count their images.
 
@@ -293,7 +297,7 @@ def run_tasks(
     total = sum(task.images for task in tasks)
     done = rendered = 0
 
-    def count(task: _Task, new: int) -> None:
+    def count(task: _Work, new: int) -> None:
         nonlocal done, rendered
         done += task.images
         rendered += new
@@ -336,7 +340,7 @@ def run_tasks(
     return SynthResult(root, total, rendered)
 
 
-def _run(task: _Task, check: CancelCheck) -> int:
+def _run(task: _Work, check: CancelCheck) -> int:
     """Run a task, which may be one of many images: work may stop between them."""
     written = 0
     for part in task.tasks if isinstance(task, vigor.PlaceTask) else (task,):
@@ -354,7 +358,7 @@ def _share_stopping(stopping: Event) -> None:
     _stopping = stopping
 
 
-def _run_task(task: _Task) -> int:
+def _run_task(task: _Work) -> int:
     def check() -> None:
         if _stopping is not None and _stopping.is_set():
             raise Cancelled

@@ -359,10 +359,6 @@ class PlaceTask:
         """Number of tiles and panoramas."""
         return sum(task.images for task in self.tasks)
 
-    def run(self) -> int:
-        """Write the pictures that are not complete; give their number."""
-        return sum(task.run() for task in self.tasks)
-
 
 def city_specs(spec: VigorSpec, places: int, plain_places: int = 0) -> list[VigorSpec]:
     """Split a city into places that share its panoramas evenly; one place is the city itself.
