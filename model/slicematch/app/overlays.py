@@ -1,6 +1,5 @@
 """An answer drawn on its tile: the heat map by place, the modes, and the answer's ellipse."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from slicemask.app.pixels import pack
 from slicemask.geometry.azimuths import direction
 from slicematch.localization.estimate import Estimate
 from slicematch.localization.modes import grid_steps
-from slicematch.localization.probabilities import ellipse
+from slicematch.localization.probabilities import ellipse, ellipse_outline
 
 _HEAT = (0.84, 0.12, 0.45)
 _MODE, _TRUTH, _PRIOR = "#d6246e", "#12b886", "#ffd23f"
@@ -110,9 +109,5 @@ def _arc_points(
 
 def _ellipse_points(estimate: Estimate) -> NDArray[np.float64]:
     """The ellipse that holds 95 % of the answer's mode, in the aerial frame, [points, 2]."""
-    major, minor, azimuth_deg = ellipse(estimate.covariance()[:2, :2])
-    angles = np.linspace(0.0, 2.0 * math.pi, 73)
-    along, across = major * np.cos(angles), minor * np.sin(angles)
-    du, dv = (float(part) for part in direction(np.float64(azimuth_deg), np))
-    u, v, _ = estimate.pose
-    return np.stack([u + along * du - across * dv, v + along * dv + across * du], axis=1)
+    outline = ellipse_outline(*ellipse(estimate.covariance()[:2, :2]))
+    return np.asarray(estimate.pose[:2] + outline * [1.0, -1.0])  # v grows to the south

@@ -19,6 +19,7 @@ from slicemask.app.pixels import picture_pixels
 from slicematch.data.errors import PlaceError
 from slicematch.data.maps import AerialMap
 from slicematch.localization.geodesy import offset_m
+from slicematch.localization.probabilities import ellipse_outline
 from slicematch.tracking.recorded import RecordedTrack
 
 Floats = NDArray[np.float64]
@@ -176,13 +177,12 @@ class TrackPlayer:
             "y": [north], "y1": [north + _ARROW_M * np.cos(angle)],
             "colour": [_TRACK if track.probability[number] > _SURE else _DOUBT],
         }  # fmt: skip
-        around, axis = np.linspace(0, 2 * np.pi, 49), np.radians(track.ellipse_azimuth_deg[number])
-        along = track.ellipse_major_m[number] * np.cos(around)
-        across = track.ellipse_minor_m[number] * np.sin(around)
-        self._ellipse.data = {
-            "x": east + along * np.sin(axis) + across * np.cos(axis),
-            "y": north + along * np.cos(axis) - across * np.sin(axis),
-        }
+        outline = self.places[number] + ellipse_outline(
+            track.ellipse_major_m[number],
+            track.ellipse_minor_m[number],
+            track.ellipse_azimuth_deg[number],
+        )
+        self._ellipse.data = dict(zip("xy", outline.T, strict=True))
         near = self._half_m if not self.follows.value else min(_NEAR_M, self._half_m)
         middle = (east, north) if self.follows.value else (0.0, 0.0)
         for span, value in zip((self.plot.x_range, self.plot.y_range), middle, strict=True):

@@ -181,3 +181,27 @@ def ellipse(covariance: NDArray[np.float64], confidence: float = CONFIDENCE) -> 
     minor, major = factor * np.sqrt(np.maximum(variances, 0.0))
     azimuth_deg = math.degrees(math.atan2(axes[0, 1], axes[1, 1])) % 180.0
     return float(major), float(minor), azimuth_deg
+
+
+def ellipse_outline(major: float, minor: float, azimuth_deg: float) -> NDArray[np.float64]:
+    """Points around an ellipse, for a picture of it; the last one is the first again.
+
+    Parameters
+    ----------
+    major, minor, azimuth_deg
+        As `ellipse` gives them.
+
+    Returns
+    -------
+    float64 [73, 2]
+        East and north of its middle, in the half axes' unit.
+
+    Examples
+    --------
+    >>> (ellipse_outline(2.0, 1.0, 90.0)[[0, 18]].round(9) + 0.0).tolist()
+    [[2.0, 0.0], [0.0, -1.0]]
+    """
+    around, axis = np.linspace(0.0, 2.0 * math.pi, 73), math.radians(azimuth_deg)
+    along, across = major * np.cos(around), minor * np.sin(around)
+    east = along * math.sin(axis) + across * math.cos(axis)
+    return np.column_stack([east, along * math.cos(axis) - across * math.sin(axis)])

@@ -15,7 +15,7 @@ from slicemask.images import Picture
 from slicematch.data.errors import PlaceError
 from slicematch.data.maps import AerialMap
 from slicematch.localization.geodesy import offset_m, offset_position
-from slicematch.localization.probabilities import ellipse
+from slicematch.localization.probabilities import ellipse, ellipse_outline
 from slicematch.tracking.outputs import Track
 from slicematch.tracking.track_estimate import TrackMode
 
@@ -117,16 +117,8 @@ def _log_modes(rr: Any, recording: Any, ground: "_Ground", modes: Sequence[Track
 
 
 def _ring(mode: TrackMode) -> Floats:
-    """The ellipse of 95 % about its middle, metres east and north, float64 [49, 2]."""
-    major_m, minor_m, azimuth_deg = ellipse(mode.covariance[:2, :2])
-    around, axis = np.linspace(0, 2 * np.pi, 49), np.radians(azimuth_deg)
-    along, across = major_m * np.cos(around), minor_m * np.sin(around)
-    return np.column_stack(
-        [
-            along * np.sin(axis) + across * np.cos(axis),
-            along * np.cos(axis) - across * np.sin(axis),
-        ]
-    )
+    """The ellipse of 95 % about its middle, metres east and north, float64 [n, 2]."""
+    return ellipse_outline(*ellipse(mode.covariance[:2, :2]))
 
 
 def _shown(rr: Any, image: Picture) -> Any:
