@@ -5,8 +5,9 @@ It needs a ROS 2 installation (Jazzy, Humble) beside slicemask, and is started a
     python examples/ros2_node.py --ros-args -p run:=generated-city -p map:=ortho.tif
 
 Topics: /image (sensor_msgs/Image, panoramas of equirectangular projection), /odom
-(nav_msgs/Odometry) and /fix (sensor_msgs/NavSatFix, the first of which says where to begin) in;
-/slicemask/pose (geometry_msgs/PoseWithCovarianceStamped) out, in metres east and north of that fix.
+(nav_msgs/Odometry) and /fix (sensor_msgs/NavSatFix) in; /slicemask/pose
+(geometry_msgs/PoseWithCovarianceStamped) out, in metres east and north of the first fix, which says
+where to begin. Later fixes are weak evidence.
 Images that come while one is worked on are dropped but for the newest, so that it never falls
 behind.
 """
@@ -23,6 +24,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, NavSatFix
 from slicematch import Localizer
 from slicematch.data.maps import AerialMap
+from slicematch.data.positions import Fix
 from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.tracking.live import newest
 from slicematch.tracking.odometry import Odometry
@@ -44,19 +46,26 @@ class TrackNode(Node):
         self.map = AerialMap.open(path)
         self.tracker: Tracker | None = None
         self.motion: list[tuple[float, float]] = []
+        self.fix: Fix | None = None
         self.last_s: float | None = None
         self.frames = newest(self.step)
         self.poses = self.create_publisher(PoseWithCovarianceStamped, "/slicemask/pose", 10)
         quality = qos_profile_sensor_data
-        self.create_subscription(NavSatFix, "/fix", self.begin, quality)
+        self.create_subscription(NavSatFix, "/fix", self.keep_fix, quality)
         self.create_subscription(OdometryMessage, "/odom", self.move, quality)
         self.create_subscription(Image, "/image", self.frames.put, quality)
 
-    def begin(self, fix: NavSatFix) -> None:
-        """Begin at the first fix."""
-        if self.tracker is None and fix.status.status >= 0:
-            start = PlaceOnGlobe(fix.latitude, fix.longitude, FIX_M)
+    def keep_fix(self, message: NavSatFix) -> None:
+        """Begin at the first fix; keep others until the next image."""
+        if message.status.status < 0:
+            return
+        if self.tracker is None:
+            start = PlaceOnGlobe(message.latitude, message.longitude, FIX_M)
             self.tracker = Tracker(self.localizer, self.map, start)
+            return
+        variance = (message.position_covariance[0] + message.position_covariance[4]) / 2
+        accuracy_m = math.sqrt(variance) if variance > 0 else None
+        self.fix = Fix(message.latitude, message.longitude, accuracy_m)
 
     def move(self, message: OdometryMessage) -> None:
         """Keep what the odometry says until the next image."""
@@ -68,6 +77,7 @@ class TrackNode(Node):
         if self.tracker is None:
             return
         motion, self.motion = self.motion, []
+        fix, self.fix = self.fix, None
         odometry = Odometry(*np.mean(motion, axis=0).tolist()) if motion else None
         now_s = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         dt_s = 0.0 if self.last_s is None else now_s - self.last_s
@@ -76,7 +86,7 @@ class TrackNode(Node):
         pixels = pixels[:, : 3 * message.width].reshape(message.height, message.width, 3)
         if message.encoding == "bgr8":
             pixels = pixels[..., ::-1]
-        found = self.tracker.step(np.ascontiguousarray(pixels), odometry, dt_s)
+        found = self.tracker.step(np.ascontiguousarray(pixels), odometry, dt_s, fix=fix)
         for note in found.notes:
             self.get_logger().warning(note)
         if dropped:

@@ -42,6 +42,10 @@ _HEADING_DEG = 15.0
     "anywhere in the tile]",
 )
 @click.option("--heading", type=Heading(), help="At the start, such as 90+-15.  [default: any]")
+@click.option(
+    "--fixes/--no-fixes", default=True, show_default=True, help="Use GNSS along the way, not only "
+    "where it begins."
+)  # fmt: skip
 @click.option("--smooth", "smoothed", is_flag=True, help="Let later frames improve earlier ones.")
 @click.option("--picture", metavar="FILE", help="The track on its map: PNG, SVG, PDF.")
 @click.option("--animation", metavar="FILE", help="The track frame by frame: GIF.")

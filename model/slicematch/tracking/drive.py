@@ -33,7 +33,7 @@ class Frame:
     odometry : Odometry or None
         The mean motion since the frame before.
     fix : Fix or None
-        Its accuracy is the error that about two in three are less than.
+        Its accuracy is a standard deviation, to the east and to the north.
     truth : (lat, lon, heading_deg) or None
         Where it was, if that is known; nothing is tracked by it.
     note : str

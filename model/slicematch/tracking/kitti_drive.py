@@ -22,8 +22,8 @@ RATE_HZ = 10.0  # where a drive has no times
 class KittiDrive:
     """A KITTI raw drive.
 
-    The receiver's places are the truth where errors are reported, and the first is where the
-    drive begins; its speeds and yaw rates are the odometry.
+    The receiver's places are the truth where errors are reported, so that only the first is a fix:
+    where the drive begins. Its speeds and yaw rates are the odometry.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class KittiDrive:
                 time_s,
                 picture,
                 mean_odometry(before or said, said),
-                Fix(fields[LAT], fields[LON], fields[ACCURACY]),
+                None if before else Fix(fields[LAT], fields[LON], fields[ACCURACY]),
                 (fields[LAT], fields[LON], heading_deg),
                 note,
             )

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from slicematch.angles import angle_difference_deg
 from slicematch.localization.probabilities import probabilities
+from slicematch.tracking.fixes import PlacedFix
 from slicematch.tracking.hypotheses import Hypothesis, same_place
 from slicematch.tracking.local_scores import COARSE_GRID, LocalScorer
 from slicematch.tracking.odometry import MotionNoise, start_states
@@ -36,8 +37,10 @@ class Search:
         At places that no hypothesis has; their probabilities are those within the tile.
     known : float64 [hypotheses]
         Probabilities within the tile of what was found where each hypothesis is already.
-    scores : float32 [rows, columns, headings]
+    scores : float32 [K]
         Of the tile's candidates.
+    prior : float64 [K]
+        How likely they are before the image, if the camera is lost: alike, or by the last fix.
     agrees : bool
         Whether the tile's best place is that of the likeliest hypothesis.
     """
@@ -45,6 +48,7 @@ class Search:
     found: list[Hypothesis]
     known: Floats
     scores: NDArray[np.float32]
+    prior: Floats
     agrees: bool
 
 
@@ -114,10 +118,25 @@ class Searcher:
         doubt: bool,
         particles: int,
         noise: MotionNoise,
+        fix: PlacedFix | None = None,
     ) -> "Search | None":
         """Look for places that no hypothesis has, around the likeliest one.
 
         In doubt the tiles around are searched, another one each time.
+
+        Parameters
+        ----------
+        ground : float [1, N * B, C]
+            An image, encoded.
+        hypotheses : list of Hypothesis
+        doubt : bool
+            Whether the likeliest one is in doubt.
+        particles : int
+            Of each that is found.
+        noise : MotionNoise
+            What is unknown of the odometry.
+        fix : PlacedFix, optional
+            What a satellite receiver says at this time.
 
         Returns
         -------
@@ -131,9 +150,10 @@ class Searcher:
         tile = self.tiles.at(best[0] + east * away_m, best[1] + north * away_m)
         if tile is None:
             return None
-        scores = self.scorer.whole(ground, tile.scored).scores
+        scores = self.scorer.whole(ground, tile.scored).scores.ravel()
         poses = tile.states(self.scorer.coarse_grid.poses())
-        likely = probabilities(scores.ravel(), self.temperature)
+        prior = self._prior(tile, poses, fix)
+        likely = probabilities(scores / self.temperature + np.log(prior), 1.0)
         found = self._modes(tile, poses, likely, SEARCH_MODES, particles, noise)
         means = [one.mean() for one in hypotheses]
         new, known = [], np.zeros(len(means))
@@ -143,7 +163,15 @@ class Searcher:
                 known[same[0]] += one.probability
             else:
                 new.append(one)
-        return Search(new, known, scores, _known(found[0].mean(), best))
+        return Search(new, known, scores, prior, _known(found[0].mean(), best))
+
+    def _prior(self, tile: TrackTile, poses: Floats, fix: PlacedFix | None) -> Floats:
+        """Probabilities of a tile's candidates [K] before the image is seen."""
+        if fix is None:
+            return np.full(len(poses), 1.0 / len(poses))
+        rows, columns, headings = COARSE_GRID
+        places = fix.prior(poses[::headings, :2], tile.side_m**2 / (rows * columns))
+        return np.repeat(places / headings, headings)
 
     def _modes(
         self,

@@ -19,13 +19,11 @@ from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.runs.shipped import find_run
 from slicematch.tracking.drive import Drive, Frame, open_drive
 from slicematch.tracking.errors import TrackErrors
+from slicematch.tracking.fixes import ACCURACY_M
 from slicematch.tracking.outputs import Track, check_track_target, write_track
 from slicematch.tracking.smoothing import Step, smooth, smoothed_estimates
 from slicematch.tracking.track_estimate import TrackEstimate
 from slicematch.tracking.tracker import Tracker, TrackSettings
-
-# Of a fix that does not say how accurate it is.
-ACCURACY_M = 20.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +97,7 @@ def track(
     near: tuple[float, float] | None = None,
     within_m: float | None = None,
     heading: tuple[float, float] | None = None,
+    fixes: bool = True,
     smoothed: bool = False,
     picture: str | Path | None = None,
     animation: str | Path | None = None,
@@ -132,6 +131,8 @@ def track(
         least 20 m, or anywhere in the tile around `near`.
     heading : (centre, deviation), optional
         The heading at the start, degrees; by default unknown.
+    fixes : bool
+        Whether the recording's fixes are used along the way, not only for where it begins.
     smoothed : bool
         Let later frames have a say in earlier ones, once the drive is over.
     picture, animation : path, optional
@@ -171,7 +172,7 @@ def track(
     tracker = Tracker(localizer, opened, start, heading, side_m, settings, cache)
     with tracker:
         frames, estimates, steps = run_cancellable(
-            lambda check: _follow(tracker, recording, smoothed, progress, check)
+            lambda check: _follow(tracker, recording, fixes, smoothed, progress, check)
         )
         if smoothed:
             drawn = smooth(steps, tracker.settings.noise, tracker.rng)
@@ -243,6 +244,7 @@ def _start(
 def _follow(
     tracker: Tracker,
     recording: Drive,
+    fixes: bool,
     keep: bool,
     progress: Callable[[int, int], None] | None,
     check: CancelCheck,
@@ -254,7 +256,8 @@ def _follow(
     for frame in recording:
         check()
         dt_s = frame.time_s - frames[-1].time_s if frames else 0.0
-        estimates.append(tracker.step(frame.image, frame.odometry, dt_s, frame.note))
+        fix = frame.fix if fixes else None
+        estimates.append(tracker.step(frame.image, frame.odometry, dt_s, frame.note, fix))
         frames.append(frame)
         if keep:
             moved_s = estimates[-1].time_s - estimates[-2].time_s if len(estimates) > 1 else 0.0

@@ -12,9 +12,11 @@ from torch import Tensor
 from slicemask.errors import ImageError
 from slicemask.images import Picture
 from slicematch.data.maps import AerialMap
+from slicematch.data.positions import Fix
 from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.on_map import PlaceOnGlobe, tile_side
+from slicematch.tracking.fixes import PlacedFix, deviation_of
 from slicematch.tracking.hypotheses import Hypothesis, merged, normalised
 from slicematch.tracking.local_scores import LocalScorer
 from slicematch.tracking.odometry import BIAS, HEADING, SCALE, MotionNoise, Odometry, move
@@ -39,6 +41,9 @@ class TrackSettings:
         Scores of neighbouring frames are wrong alike, for they see the same street in the same
         map. A frame counts as the share of this way that the camera has gone since the last one,
         so that an ellipse holds what it says.
+    same_sight_m : float
+        The same of the choice between hypotheses: a place that looks like another one does so for
+        as long as the same buildings are in sight.
     standing : float
         What a frame counts at least, for a camera that stands.
     outliers : float
@@ -65,6 +70,7 @@ class TrackSettings:
     particles: int = 800
     other_particles: int = 100
     independent_m: float = 2.2
+    same_sight_m: float = 10.0
     standing: float = 0.01
     outliers: float = 0.05
     registration_m: float = 0.45
@@ -81,7 +87,7 @@ class TrackSettings:
                 f"there are {self.particles} and {self.other_particles} particles; each must be 10 "
                 "or more"
             )
-        for name in ("independent_m", "search_s", "doubt_search_s", "ahead_s"):
+        for name in ("independent_m", "same_sight_m", "search_s", "doubt_search_s", "ahead_s"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{name} is {value:g}; it must be above 0")
@@ -169,8 +175,10 @@ class Tracker:
         self.time_s = 0.0
         self._odometry = Odometry(0.0)
         self._way_m = 0.0  # since the last image that was used
+        self._unsearched_m = 0.0  # since the last search
         self._searched_s, self._search_due_s = 0.0, self.settings.doubt_search_s
         self._doubt = False
+        self._fix: PlacedFix | None = None  # the last one
         self._notes: list[str] = []
 
     def __enter__(self) -> "Tracker":
@@ -194,6 +202,7 @@ class Tracker:
         odometry: Odometry | None = None,
         dt_s: float = 0.0,
         note: str = "",
+        fix: Fix | None = None,
     ) -> TrackEstimate:
         """Go on by one frame.
 
@@ -212,6 +221,9 @@ class Tracker:
             Since the last step, seconds; at the first step it says nothing.
         note : str
             Why there is no image, for the estimate's notes.
+        fix : Fix, optional
+            Of a satellite receiver at this time, as weak evidence (`slicematch.tracking.fixes`); at
+            the first step it says nothing, for the drive's start says where it begins.
 
         Returns
         -------
@@ -225,6 +237,8 @@ class Tracker:
         self.time_s += dt_s
         if not first and dt_s > 0:
             self._predict(odometry, dt_s)
+        if fix is not None and not first:
+            self._weigh_by_fix(fix)
         seen = self._look(image)
         self.hypotheses = normalised(merged(self.hypotheses))
         self._resample()
@@ -258,10 +272,28 @@ class Tracker:
         ]
         if odometry is not None:
             self._odometry = odometry
-        self._way_m += abs(self._odometry.speed_mps) * dt_s
+        gone_m = abs(self._odometry.speed_mps) * dt_s
+        self._way_m += gone_m
+        self._unsearched_m += gone_m
         # A turn shows other things too.
         turned = abs(self._odometry.yaw_rate_dps) * dt_s / 90.0
         self._way_m += turned * self.settings.independent_m
+
+    def _weigh_by_fix(self, fix: Fix) -> None:
+        if not (math.isfinite(fix.lat) and math.isfinite(fix.lon)):
+            self._say("the fix is not finite, so that it is not used")
+            return
+        placed = PlacedFix(
+            *self.tiles.metres(fix.lat, fix.lon), deviation_of(fix.accuracy_m), self.time_s
+        )
+        share = placed.share_after(self._fix.time_s if self._fix else 0.0)
+        self._fix = placed
+        weighed = []
+        for one in self.hypotheses:
+            likely = placed.likelihood(one.states[:, :2])
+            after, evidence = one.weighed(share * np.log(likely))
+            weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
+        self.hypotheses = normalised(weighed)
 
     def _look(self, image: Picture | None) -> bool:
         """Weigh the belief by an image; whether there was one."""
@@ -276,7 +308,8 @@ class Tracker:
             return ground is not None
         if ground is None:
             return False
-        share = min(1.0, max(self._way_m / self.settings.independent_m, self.settings.standing))
+        settings = self.settings
+        share = min(1.0, max(self._way_m / settings.independent_m, settings.standing))
         self.hypotheses = [
             replace(one, waiting=min(1.0, one.waiting + share)) for one in self.hypotheses
         ]
@@ -291,6 +324,7 @@ class Tracker:
             if some is None:  # no more likely than a place that looks otherwise
                 some = np.full(len(one.weights), -math.inf)
             after, evidence = one.weighed(one.waiting * np.log(self._likelihood(some, best)))
+            evidence *= settings.independent_m / settings.same_sight_m
             probability = one.probability * math.exp(evidence)
             weighed.append(replace(after, probability=probability, waiting=0.0))
         belief = [
@@ -334,16 +368,20 @@ class Tracker:
         is the mean likelihood over the tile, against that over the particles before the image.
         """
         settings, best = self.settings, self.hypotheses[0]
+        fix = self._fix and self._fix.later(self.time_s, self._odometry.speed_mps)
         search = self.searcher.search(
-            ground, self.hypotheses, self._doubt, settings.other_particles, settings.noise
+            ground, self.hypotheses, self._doubt, settings.other_particles, settings.noise, fix
         )
         if search is not None:
             weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
             most = max(float(scores.max()), float(search.scores.max()))
             lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
             kept = 1.0 - lost
-            lost *= float(self._likelihood(search.scores.astype(np.float64), most, SURPRISE).mean())
-            kept *= float(weights @ self._likelihood(scores, most, SURPRISE) / weights.sum())
+            anywhere = self._likelihood(search.scores.astype(np.float64), most, SURPRISE)
+            share = min(1.0, self._unsearched_m / settings.same_sight_m)
+            lost *= float(search.prior @ anywhere) ** share
+            here = self._likelihood(scores, most, SURPRISE)
+            kept *= float(weights @ here / weights.sum()) ** share
             lost /= lost + kept
             found = [replace(one, probability=one.probability * lost) for one in search.found]
             again = search.known * lost
@@ -354,6 +392,7 @@ class Tracker:
         self._doubt = best.probability < SURE or (search is not None and not search.agrees)
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
         self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
+        self._unsearched_m = 0.0
 
     def _likelihood(self, scores: Floats, most: float, least: float | None = None) -> Floats:
         """How likely places are by their scores, against the best one."""

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 from slicematch.data.maps import AerialMap
+from slicematch.data.positions import Fix
 from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import offset_position
 from slicematch.localization.on_map import PlaceOnGlobe
@@ -142,6 +143,44 @@ def test_without_images_the_belief_grows_and_without_time_it_stays(localizer, ca
     np.testing.assert_allclose(same.covariance, near.covariance, rtol=0.3)
     assert "the clock went on by -1 s" in same.notes[0]
     assert far.covariance[0, 0] > near.covariance[0, 0]
+
+
+def test_fixes_along_the_way_hold_a_belief_that_no_image_does(localizer, cache, mapped):
+    opened = AerialMap.open(mapped.map)
+    start = PlaceOnGlobe(*places(mapped)[0], 20.0)
+    north, south = (offset_position(places(mapped)[0], 0.0, metres) for metres in (12.0, -12.0))
+
+    def after(*fixes):
+        with Tracker(localizer, opened, start, settings=SETTINGS, cache=cache) as tracker:
+            tracker.step(None)
+            for fix in fixes:
+                found = tracker.step(None, Odometry(0.0), 10.0, fix=fix)
+        return found
+
+    without = after(None, None)
+    towards, away = (after(*[Fix(*place, 5.0)] * 2) for place in (north, south))
+    assert towards.modes[0].north_m > without.modes[0].north_m > away.modes[0].north_m
+    assert towards.covariance[1, 1] < without.covariance[1, 1]
+    broken = after(Fix(math.nan, 0.0, 5.0), Fix(*north, math.nan))
+    assert any("the fix is not finite" in note for note in after(Fix(math.nan, 0.0)).notes)
+    assert np.isfinite(broken.covariance).all()
+
+
+def test_fixes_along_the_way_can_be_left_out(track, drive, mapped, tmp_path):
+    """Fixes 15 m east of the way draw the track there, unless they are not used."""
+    header, *rows = drive.read_text().splitlines()
+    lines = [header]
+    for k, (row, place) in enumerate(zip(rows, places(mapped), strict=True)):
+        cells = row.split(",")
+        cells[4:6] = map(str, offset_position(place, 15.0 if k else 0.0, 0.0))
+        lines.append(",".join(cells))
+    fixed = tmp_path / "fixed.csv"
+    fixed.write_text("\n".join(lines) + "\n")
+    for out, arguments in (("with.tum", []), ("without.tum", ["--no-fixes"])):
+        assert track(*arguments, drive=fixed, out=out).exit_code == 0
+    track(out="first.tum")  # its only fix is the first
+    assert (tmp_path / "without.tum").read_bytes() == (tmp_path / "first.tum").read_bytes()
+    assert (tmp_path / "with.tum").read_bytes() != (tmp_path / "first.tum").read_bytes()
 
 
 def test_settings_are_checked():

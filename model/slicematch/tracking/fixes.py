@@ -1,0 +1,74 @@
+"""Satellite fixes along a drive: weak evidence of the place, for their errors last for seconds.
+
+Beside buildings a reflected signal sets all fixes of half a minute off to the same side. So fixes
+do not average: each one counts as the share that its time since the last one has of `LASTS_S`, and
+none of them rules a place out.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# How long an error goes on.
+LASTS_S = 20.0
+# Of a fix that does not say how accurate it is, metres; and what none is better than, for maps lie
+# off, too.
+ACCURACY_M, LEAST_M = 20.0, 2.0
+# The share of fixes that are far off, whatever they say of themselves.
+WRONG = 0.01
+
+
+@dataclass(frozen=True)
+class PlacedFix:
+    """A fix in the frame of a drive.
+
+    Attributes
+    ----------
+    east_m, north_m : float
+    deviation_m : float
+        Of it, to the east and to the north.
+    time_s : float
+        When it was.
+    """
+
+    east_m: float
+    north_m: float
+    deviation_m: float
+    time_s: float
+
+    def likelihood(self, places: Floats) -> Floats:
+        """How likely places [P, 2] (east_m, north_m) are by it, against the fix's own: [P]."""
+        away_m = np.hypot(places[:, 0] - self.east_m, places[:, 1] - self.north_m)
+        return np.asarray((1.0 - WRONG) * np.exp(-0.5 * (away_m / self.deviation_m) ** 2) + WRONG)
+
+    def share_after(self, before_s: float) -> float:
+        """What it counts as, where the last one that counted was at that time."""
+        return min(1.0, max(0.0, self.time_s - before_s) / LASTS_S)
+
+    def later(self, time_s: float, speed_mps: float) -> "PlacedFix":
+        """What it still says later, where the camera may have gone any way at such a speed."""
+        spread_m = math.hypot(self.deviation_m, speed_mps * (time_s - self.time_s))
+        return PlacedFix(self.east_m, self.north_m, spread_m, self.time_s)
+
+    def prior(self, places: Floats, area_m2: float) -> Floats:
+        """Probabilities of places [P, 2] that stand for so much ground each: at most 1 in all.
+
+        What is missing to 1 lies elsewhere.
+        """
+        density = np.exp(
+            -0.5 * ((places - [self.east_m, self.north_m]) ** 2).sum(axis=1) / self.deviation_m**2
+        )
+        shares = density * area_m2 / (2.0 * math.pi * self.deviation_m**2)
+        shares /= max(1.0, float(shares.sum()))
+        return np.asarray((1.0 - WRONG) * shares + WRONG / len(places))
+
+
+def deviation_of(accuracy_m: float | None) -> float:
+    """Standard deviation that a fix is taken to have, metres."""
+    if accuracy_m is None or not math.isfinite(accuracy_m) or accuracy_m <= 0:
+        return ACCURACY_M
+    return max(accuracy_m, LEAST_M)
