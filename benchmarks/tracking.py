@@ -123,8 +123,8 @@ def back_after_s(
     """Seconds until a belief is back that is moved by `JUMP_M`; None if it is not in time."""
     moved = copy.copy(tracker)
     moved.rng = copy.deepcopy(tracker.rng)
-    moved.searcher = copy.copy(tracker.searcher)
-    moved.searcher.rng = moved.rng
+    moved.elsewhere = copy.copy(tracker.elsewhere)
+    moved.elsewhere.rng = moved.rng
     way = JUMP_M * np.array([math.sin(angle), math.cos(angle), 0.0, 0.0, 0.0])
     moved.hypotheses = [replace(one, states=one.states + way) for one in tracker.hypotheses]
     for later in range(number + 1, len(frames)):

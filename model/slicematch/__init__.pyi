@@ -12,8 +12,8 @@ from .scoring.candidates import Candidates as Candidates
 from .tracking.odometry import Odometry as Odometry
 from .tracking.track import track as track
 from .tracking.track_estimate import TrackEstimate as TrackEstimate
+from .tracking.track_settings import TrackSettings as TrackSettings
 from .tracking.tracker import Tracker as Tracker
-from .tracking.tracker import TrackSettings as TrackSettings
 from .training.train import train as train
 
 __all__: list[str]

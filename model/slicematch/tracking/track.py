@@ -23,7 +23,8 @@ from slicematch.tracking.fixes import ACCURACY_M
 from slicematch.tracking.outputs import Track, check_track_target, write_track
 from slicematch.tracking.smoothing import Step, smooth, smoothed_estimates
 from slicematch.tracking.track_estimate import TrackEstimate
-from slicematch.tracking.tracker import Tracker, TrackSettings
+from slicematch.tracking.track_settings import TrackSettings
+from slicematch.tracking.tracker import Tracker
 
 
 @dataclass(frozen=True)

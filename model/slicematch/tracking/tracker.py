@@ -2,7 +2,7 @@
 
 import logging
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,91 +13,26 @@ from slicemask.errors import ImageError
 from slicemask.images import Picture
 from slicematch.data.maps import AerialMap
 from slicematch.data.positions import Fix
-from slicematch.errors import ConfigError
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.on_map import PlaceOnGlobe, tile_side
-from slicematch.tracking.fixes import PlacedFix, deviation_of
+from slicematch.tracking.elsewhere import Elsewhere
+from slicematch.tracking.fixes import LASTS_S, PlacedFix, deviation_of
 from slicematch.tracking.hypotheses import Hypothesis, merged, normalised
 from slicematch.tracking.local_scores import LocalScorer
-from slicematch.tracking.odometry import BIAS, HEADING, SCALE, MotionNoise, Odometry, move
-from slicematch.tracking.searching import Searcher
+from slicematch.tracking.odometry import BIAS, HEADING, SCALE, Odometry, move
 from slicematch.tracking.tiles import TrackTiles
 from slicematch.tracking.track_estimate import TrackEstimate, TrackMode
+from slicematch.tracking.track_settings import TrackSettings
 
 log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class TrackSettings:
-    """How a tracker goes about it.
-
-    Attributes
-    ----------
-    particles, other_particles : int
-        Of the likeliest hypothesis, and of each other one.
-    independent_m : float
-        Scores of neighbouring frames are wrong alike, for they see the same street in the same
-        map. A frame counts as the share of this way that the camera has gone since the last one,
-        so that an ellipse holds what it says.
-    same_sight_m : float
-        The same of the choice between hypotheses: a place that looks like another one does so for
-        as long as the same buildings are in sight.
-    standing : float
-        What a frame counts at least, for a camera that stands.
-    outliers : float
-        How likely a place is at least, against the best one, whatever its score: how often an
-        image says nothing of its place.
-    registration_m : float
-        What no number of frames averages out, for it is the same along a street: how far a map lies
-        off the ground, and a model's answers off the truth. It is added to the covariance of
-        estimates, as a standard deviation to the east and to the north.
-    search_s, doubt_search_s : float
-        How often the whole tile is searched for better places, and how often where the belief is
-        in doubt.
-    lost_per_s : float
-        How likely it is that the belief is lost in a second, before an image is seen: what better
-        places weigh at first follows by Bayes' rule.
-    ahead_s : float
-        How long before the camera comes there a tile is encoded.
-    noise : MotionNoise
-        How far off odometry is.
-    seed : int
-        The same images and the same seed give the same answers.
-    """
-
-    particles: int = 800
-    other_particles: int = 100
-    independent_m: float = 2.2
-    same_sight_m: float = 10.0
-    standing: float = 0.01
-    outliers: float = 0.05
-    registration_m: float = 0.45
-    search_s: float = 1.0
-    doubt_search_s: float = 0.5
-    lost_per_s: float = 0.01
-    ahead_s: float = 3.0
-    noise: MotionNoise = field(default_factory=MotionNoise)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if min(self.particles, self.other_particles) < 10:
-            raise ConfigError(
-                f"there are {self.particles} and {self.other_particles} particles; each must be 10 "
-                "or more"
-            )
-        for name in ("independent_m", "same_sight_m", "search_s", "doubt_search_s", "ahead_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} is {value:g}; it must be above 0")
-
-
 # In doubt are beliefs whose likeliest hypothesis is less likely than this.
 SURE = 0.9
-# How likely an image is at least, against the best place, where a search asks whether the belief
-# is lost.
-SURPRISE = 0.01
+# Of a belief that begins without an image.
+START_ELSEWHERE = 0.1
 # Beyond this much of a gap the motion between two frames is anybody's guess.
 LONGEST_GAP_S = 10.0
 # Particles' spread around a mean that scores are needed for, in standard deviations.
@@ -163,14 +98,15 @@ class Tracker:
     ) -> None:
         self.localizer = localizer
         self.settings = settings or TrackSettings()
-        self.start, self.start_heading = start, heading
         self.scorer = LocalScorer(localizer, cache)
         self.tiles = TrackTiles(
             self.scorer, aerial_map, (start.lat, start.lon), tile_side(localizer.config, side_m)
         )
         self.temperature = localizer.temperature
         self.rng = np.random.default_rng(self.settings.seed)
-        self.searcher = Searcher(self.scorer, self.tiles, self.temperature, self.rng)
+        self.elsewhere = Elsewhere(
+            self.scorer, self.tiles, start, heading, self.settings.noise, self.rng
+        )
         self.hypotheses: list[Hypothesis] = []
         self.time_s = 0.0
         self._odometry = Odometry(0.0)
@@ -272,6 +208,8 @@ class Tracker:
         ]
         if odometry is not None:
             self._odometry = odometry
+        best = self.hypotheses[0]
+        self.elsewhere.move(self._odometry, dt_s, *(best.weights @ best.states[:, [SCALE, BIAS]]))
         gone_m = abs(self._odometry.speed_mps) * dt_s
         self._way_m += gone_m
         self._unsearched_m += gone_m
@@ -353,51 +291,55 @@ class Tracker:
     def _begin(self, ground: Tensor | None) -> None:
         """The first belief: what the first image says within what is known of the place."""
         settings = self.settings
-        count = settings.other_particles if ground is not None else 4 * settings.particles
-        started = self.searcher.begin(
-            ground, self.start.within_m, self.start_heading, count, settings.noise
-        )
-        self.hypotheses = normalised(merged(started))
-        if ground is None:
+        search = None if ground is None else self.elsewhere.search(ground, [], None, 0.0)
+        if search is None:
             self._say("there is no first image, so that the belief is what was known before")
+            self.hypotheses = [self.elsewhere.blind(4 * settings.particles)]
+            self.elsewhere.probability = START_ELSEWHERE
+            return
+        likely = self._in_tile(search.scores, search.scores)
+        self.hypotheses = search.hypotheses(likely, 1.0, settings.other_particles)
+        if not self.hypotheses:
+            self.hypotheses = [self.elsewhere.blind(settings.particles)]
+        self.hypotheses = normalised(merged(self.hypotheses))
 
     def _search(self, ground: Tensor, belief: list[tuple[Floats, Floats]]) -> None:
-        """Look for other places; what they weigh depends on how well the image suits the belief.
+        """Search the whole tile; by Bayes' rule, how likely it is that the camera is elsewhere.
 
-        Bayes' rule for "the belief is lost, and the camera is anywhere in the tile": its evidence
-        is the mean likelihood over the tile, against that over the particles before the image.
+        The evidence of that is the mean likelihood over the tile's candidates, against that over
+        the particles before the image.
         """
-        settings, best = self.settings, self.hypotheses[0]
+        settings, elsewhere = self.settings, self.elsewhere
+        gap_s = self.time_s - self._searched_s
         fix = self._fix and self._fix.later(self.time_s, self._odometry.speed_mps)
-        search = self.searcher.search(
-            ground, self.hypotheses, self._doubt, settings.other_particles, settings.noise, fix
-        )
+        search = elsewhere.search(ground, self.hypotheses, fix, min(1.0, gap_s / LASTS_S))
         if search is not None:
             weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
-            most = max(float(scores.max()), float(search.scores.max()))
-            lost = 1.0 - math.exp(-settings.lost_per_s * (self.time_s - self._searched_s))
-            kept = 1.0 - lost
-            anywhere = self._likelihood(search.scores.astype(np.float64), most, SURPRISE)
-            share = min(1.0, self._unsearched_m / settings.same_sight_m)
-            lost *= float(search.prior @ anywhere) ** share
-            here = self._likelihood(scores, most, SURPRISE)
-            kept *= float(weights @ here / weights.sum()) ** share
-            lost /= lost + kept
-            found = [replace(one, probability=one.probability * lost) for one in search.found]
-            again = search.known * lost
+            share = min(1.0, max(self._unsearched_m / settings.same_sight_m, settings.standing))
+            there = self._in_tile(search.scores, search.scores) ** share
+            here = self._in_tile(scores, search.scores) ** share
+            lost = elsewhere.probability * float(search.prior @ there)
+            kept = (1.0 - elsewhere.probability) * float(weights @ here / weights.sum())
+            lost = max(lost / (lost + kept), settings.least_elsewhere)
+            found = search.hypotheses(there, lost, settings.other_particles)
             self.hypotheses = [
-                replace(one, probability=one.probability * (1.0 - lost) + float(more))
-                for one, more in zip(self.hypotheses, again, strict=True)
+                replace(one, probability=one.probability * (1.0 - lost)) for one in self.hypotheses
             ] + found
-        self._doubt = best.probability < SURE or (search is not None and not search.agrees)
+        self._doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < SURE
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
         self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
         self._unsearched_m = 0.0
 
-    def _likelihood(self, scores: Floats, most: float, least: float | None = None) -> Floats:
+    def _likelihood(self, scores: Floats, most: float) -> Floats:
         """How likely places are by their scores, against the best one."""
-        least = self.settings.outliers if least is None else least
-        return np.asarray(np.exp((scores - most) / self.temperature) + least)
+        return np.asarray(np.exp((scores - most) / self.temperature) + self.settings.outliers)
+
+    def _in_tile(self, scores: Floats, of_tile: Floats) -> Floats:
+        """How likely places are by their scores, against the mean of a tile's candidates [K]."""
+        most = float(of_tile.max())
+        mean = float(np.exp((of_tile - most) / self.temperature).mean())
+        says = np.exp((scores - most) / self.temperature) / mean
+        return np.asarray((1.0 - self.settings.says_nothing) * says + self.settings.says_nothing)
 
     def _resample(self) -> None:
         settings = self.settings
@@ -425,7 +367,7 @@ class Tracker:
                     lon,
                     heading_deg,
                     one.covariance() + least,
-                    one.probability,
+                    one.probability * (1.0 - self.elsewhere.probability),
                     east_m,
                     north_m,
                 )

@@ -14,7 +14,8 @@ from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import offset_position
 from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.tracking.odometry import Odometry
-from slicematch.tracking.tracker import Tracker, TrackSettings
+from slicematch.tracking.track_settings import TrackSettings
+from slicematch.tracking.tracker import Tracker
 
 from slicemask.cli.main import main
 
