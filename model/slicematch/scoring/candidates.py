@@ -30,7 +30,7 @@ class Candidates:
     ----------
     poses : float64 [K, 3]
         u, v, heading_deg; a NumPy array.
-    index : int64 [K, N, B]
+    index : int32 or int64 [K, N, B]
         The mask that is band b of slice n of pose k; B is 1 where there are no bands.
     masks : (row starts [M + 1], flat cells [nnz], weights [nnz])
         The M distinct masks as CSR rows of L * L cells, each divided by its sum (`as_means`).
@@ -53,13 +53,17 @@ class Candidates:
     def from_bank(cls, bank: Bank, device: torch.device | str = "cpu") -> "Candidates":
         """All poses of a bank (`slicemask.open_bank`)."""
         csr, poses = bank.csr(), np.asarray(bank.poses)
-        grid, index = bank.spec.grid, np.asarray(bank.index).astype(np.int64)
         # 32-bit indices: half the memory, and faster products, where the count allows them.
         # A little less than they reach, for loops that step past the end.
         integer = np.int32 if csr.nnz < 2**31 - 2**10 else np.int64
+        grid, index = bank.spec.grid, np.asarray(bank.index).astype(integer, copy=False)
         starts, cells, fractions = (
             torch.from_numpy(np.ascontiguousarray(part))
-            for part in (csr.indptr.astype(integer), csr.indices.astype(integer), csr.data)
+            for part in (
+                csr.indptr.astype(integer, copy=False),
+                csr.indices.astype(integer, copy=False),
+                csr.data,
+            )
         )
         return cls(
             poses=poses,

@@ -15,6 +15,8 @@ from torch.nn import functional as F  # noqa: N812
 
 Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 
+# Rows whose sums are taken at once: in float64 they take several times their own memory.
+_SUMMED = 1 << 16
 # Masks gathered in one product are padded to a common multiple of so many cells.
 _PADDED = 8
 
@@ -26,13 +28,18 @@ def as_means(masks: Masks) -> Masks:
     short for float32 to square; its mean is as long as any other.
     """
     starts, cells, fractions = masks
-    lengths = (starts[1:] - starts[:-1]).long()
-    rows = torch.repeat_interleave(
-        torch.arange(len(lengths), device=starts.device), lengths, output_size=len(fractions)
-    )
-    areas = torch.zeros(len(lengths), dtype=torch.float64, device=starts.device)
-    areas.index_add_(0, rows, fractions.double())
-    return starts, cells, (fractions / areas[rows]).to(fractions.dtype)
+    means = torch.empty_like(fractions)
+    for first in range(0, len(starts) - 1, _SUMMED):
+        ends = starts[first : first + _SUMMED + 1]
+        begin, end = int(ends[0]), int(ends[-1])
+        lengths = (ends[1:] - ends[:-1]).long()
+        rows = torch.repeat_interleave(
+            torch.arange(len(lengths), device=starts.device), lengths, output_size=end - begin
+        )
+        areas = torch.zeros(len(lengths), dtype=torch.float64, device=starts.device)
+        areas.index_add_(0, rows, fractions[begin:end].double())
+        means[begin:end] = fractions[begin:end] / areas[rows]
+    return starts, cells, means
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,7 @@ def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
 
     Parameters
     ----------
-    index : int64 [K, N]
+    index : int [K, N]
         The mask that is slice n of pose k.
     masks : CSR rows
         The M distinct masks, as `as_means` gives them.
@@ -101,7 +108,7 @@ def plan_pooling(index: Tensor, masks: Masks) -> PoolingPlan:
     lengths = starts[1:] - starts[:-1]
     used = torch.zeros(slices, len(lengths), dtype=torch.bool, device=index.device)
     for n in range(slices):
-        used[n].index_fill_(0, index[:, n], True)
+        used[n].index_fill_(0, index[:, n].long(), True)
     # Gathering once and multiplying for all N breaks even at about this many uses (measured on a
     # CPU with C = 512).
     many = (5 * used.sum(dim=0) > 2 * slices + 16) & (lengths > 0)
@@ -169,7 +176,7 @@ def plan_shared(index: Tensor, masks: Masks) -> SharedPlan:
     # Without a sort of all K * N numbers, which would take most of the memory.
     chosen = torch.zeros(len(lengths), dtype=torch.bool, device=device)
     for n in range(slices):
-        chosen.index_fill_(0, index[:, n], True)
+        chosen.index_fill_(0, index[:, n].long(), True)
     used = torch.nonzero(chosen)[:, 0]
     dtype = torch.int32 if len(used) * slices < 2**31 else torch.int64
     first = (torch.cumsum(chosen, 0) - 1).to(dtype) * slices
