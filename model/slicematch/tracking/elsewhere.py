@@ -138,9 +138,11 @@ class Elsewhere:
         poses = tile.states(self.scorer.coarse_grid.poses())
         scores = self.scorer.whole(ground, tile.scored).scores.ravel()
         prior = self._prior(tile, poses, fix, fix_share)
+        fix_evidence = float(prior.sum())
         for one in hypotheses:
             prior[_within(poses, one.mean(), KNOWN_M)] = 0.0
-        return Search(self, tile, poses, scores.astype(np.float64), prior / prior.sum())
+        prior /= prior.sum()
+        return Search(self, tile, poses, scores.astype(np.float64), prior, fix_evidence)
 
     def keep(self, tile: TrackTile, likely: Floats) -> None:
         """Take up a histogram; what moves from now on is counted anew."""
@@ -150,11 +152,10 @@ class Elsewhere:
     def _tile(self, hypotheses: list[Hypothesis], fix: PlacedFix | None) -> TrackTile | None:
         if not hypotheses:
             return self.tiles.at(0.0, 0.0)
+        if fix is not None and fix.deviation_m < self.tiles.side_m / 2:
+            return self.tiles.at(fix.east_m, fix.north_m)
         east_m, north_m = hypotheses[0].mean()[:2]
-        if self.probability > 0.5 and fix is not None:
-            east_m, north_m = fix.east_m, fix.north_m
-        lost = self.probability > 0.5 and fix is None
-        self._turn = self._turn + 1 if lost else 0
+        self._turn = self._turn + 1 if self.probability > 0.5 else 0
         east, north = COURSE[self._turn % len(COURSE)]
         away_m = AROUND * self.tiles.side_m
         return self.tiles.at(east_m + east * away_m, north_m + north * away_m)
@@ -162,7 +163,10 @@ class Elsewhere:
     def _prior(
         self, tile: TrackTile, poses: Floats, fix: PlacedFix | None, fix_share: float
     ) -> Floats:
-        """Probabilities of a tile's candidates [K] before the image is seen."""
+        """Probabilities of a tile's candidates [K] before the image is seen.
+
+        Their sum is how likely the fix is by them.
+        """
         if self._histogram is None:
             prior = self._at_the_start(poses)
             return prior / prior.sum()
@@ -172,11 +176,12 @@ class Elsewhere:
             places = fix.prior(poses[::headings, :2], tile.side_m**2 / (rows * columns))
             anywhere = np.repeat(places / headings, headings)
         kept = self._moved(poses)
+        total = kept.sum()
+        if not total > 0:
+            return anywhere
         if fix is not None:
             kept *= fix.likelihood(poses[:, :2]) ** fix_share
-        if not kept.sum() > 0:
-            return anywhere
-        return (1.0 - FORGOTTEN) * kept / kept.sum() + FORGOTTEN * anywhere
+        return (1.0 - FORGOTTEN) * kept / total + FORGOTTEN * anywhere
 
     def _at_the_start(self, poses: Floats) -> Floats:
         prior = np.zeros(len(poses))
@@ -222,6 +227,8 @@ class Search:
         What they score.
     prior : float64 [K]
         Their probabilities before the image, if the camera is at no hypothesis; 1 in all.
+    fix_evidence : float
+        How likely the fix is, if the camera is at no hypothesis.
     """
 
     elsewhere: Elsewhere
@@ -229,6 +236,7 @@ class Search:
     poses: Floats
     scores: Floats
     prior: Floats
+    fix_evidence: float
 
     def hypotheses(
         self, likelihood: Floats, probability: float, particles: int

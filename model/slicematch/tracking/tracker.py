@@ -115,6 +115,7 @@ class Tracker:
         self._searched_s, self._search_due_s = 0.0, self.settings.doubt_search_s
         self._doubt = False
         self._fix: PlacedFix | None = None  # the last one
+        self._fix_evidence = 1.0  # how likely fixes since the last search are by the hypotheses
         self._notes: list[str] = []
 
     def __enter__(self) -> "Tracker":
@@ -231,6 +232,7 @@ class Tracker:
             likely = placed.likelihood(one.states[:, :2])
             after, evidence = one.weighed(share * np.log(likely))
             weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
+        self._fix_evidence *= sum(one.probability for one in weighed)
         self.hypotheses = normalised(weighed)
 
     def _look(self, image: Picture | None) -> bool:
@@ -318,8 +320,9 @@ class Tracker:
             share = min(1.0, max(self._unsearched_m / settings.same_sight_m, settings.standing))
             there = self._in_tile(search.scores, search.scores) ** share
             here = self._in_tile(scores, search.scores) ** share
-            lost = elsewhere.probability * float(search.prior @ there)
-            kept = (1.0 - elsewhere.probability) * float(weights @ here / weights.sum())
+            lost = elsewhere.probability * search.fix_evidence * float(search.prior @ there)
+            kept = (1.0 - elsewhere.probability) * self._fix_evidence
+            kept *= float(weights @ here / weights.sum())
             lost = max(lost / (lost + kept), settings.least_elsewhere)
             found = search.hypotheses(there, lost, settings.other_particles)
             self.hypotheses = [
@@ -328,7 +331,7 @@ class Tracker:
         self._doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < SURE
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
         self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
-        self._unsearched_m = 0.0
+        self._unsearched_m, self._fix_evidence = 0.0, 1.0
 
     def _likelihood(self, scores: Floats, most: float) -> Floats:
         """How likely places are by their scores, against the best one."""
