@@ -25,7 +25,8 @@ generate_drive("data/drive", seconds=15, rate_hz=2, seed=5, tile_size=320, jobs=
 # Track it
 # --------
 #
-# The first fix says where it begins, to some 20 m; the heading is unknown. The command is
+# The first fix says where it begins, to some 20 m; the heading is unknown. Later fixes are weak
+# evidence (``--no-fixes`` does without). The command is
 # ``slicemask track generated-city --drive data/drive/drive_00.csv --map data/drive/map.tif --out
 # track.csv --picture track.png``. The drive's table holds the truth, too: nothing is tracked by it,
 # and errors are reported against it.
@@ -52,13 +53,14 @@ axes.set_axis_off()
 # How the belief grew sure
 # ------------------------
 #
-# At first several places look alike. Each estimate has all of them, the likeliest first, and a
+# At first several places look alike. Each estimate has all of them, the likeliest first (those of 2 %
+# and more are ``notable``), and a
 # covariance; what was found of the odometry comes along: by how much its speeds are short, and what
 # its gyroscope says when the car goes straight.
 
 for time_s, estimate in list(zip(tracked.track.times_s, tracked.track.estimates, strict=True))[::5]:
     print(
-        f"{time_s:5.1f} s: {len(estimate.modes)} places, the likeliest with "
+        f"{time_s:5.1f} s: {len(estimate.notable)} places, the likeliest with "
         f"{estimate.probability:.0%}; speeds times {estimate.speed_scale:.3f}, "
         f"yaw rate off by {estimate.yaw_bias_dps:+.2f} degrees/s"
     )

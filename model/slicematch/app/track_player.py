@@ -21,6 +21,7 @@ from slicematch.data.maps import AerialMap
 from slicematch.localization.geodesy import offset_m
 from slicematch.localization.probabilities import ellipse_outline
 from slicematch.tracking.recorded import RecordedTrack
+from slicematch.tracking.track_estimate import SURE
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +29,6 @@ _TRACK, _BELIEF, _DOUBT = "#ff3fd0", "#ffffff", "#ffd23f"
 _PIXELS, _MARGIN_M = 1400, 30.0
 _NEAR_M = 40.0  # to each side of the camera, where the view follows it
 _ARROW_M = 8.0
-_SURE = 0.5  # less likely poses are drawn as in doubt
 _LEAST_MS = 40  # browsers do not keep up with more frames
 _LABEL = """
 function find() {
@@ -175,7 +175,7 @@ class TrackPlayer:
         self._camera.data = {
             "x": [east], "x1": [east + _ARROW_M * np.sin(angle)],
             "y": [north], "y1": [north + _ARROW_M * np.cos(angle)],
-            "colour": [_TRACK if track.probability[number] > _SURE else _DOUBT],
+            "colour": [_TRACK if track.probability[number] > SURE else _DOUBT],
         }  # fmt: skip
         outline = self.places[number] + ellipse_outline(
             track.ellipse_major_m[number],

@@ -45,7 +45,7 @@ def save_picture(aerial_map: AerialMap, track: Track, truths: Truths, path: Path
     if any(truth is not None for truth in truths):
         true = _true_places(track, truths)
         axes.plot(*true.T, color=_TRUTH, lw=4.0, alpha=0.8, label="truth", zorder=2)
-    sure = np.array([one.probability > 0.5 for one in track.estimates])
+    sure = np.array([one.sure for one in track.estimates])
     line = np.where(sure[:, None], places, np.nan)
     axes.plot(*line.T, color=_TRACK, lw=1.6, label="track", zorder=4, path_effects=_OUTLINE)
     axes.scatter(
@@ -68,7 +68,7 @@ def check_animation_target(path: str | Path) -> Path:
 
 
 def save_animation(aerial_map: AerialMap, track: Track, truths: Truths, path: Path) -> None:
-    """Draw a track frame by frame as a GIF: the map around the camera, and all modes with ellipses.
+    """Draw a track frame by frame as a GIF: the map around the camera, and modes with ellipses.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def save_animation(aerial_map: AerialMap, track: Track, truths: Truths, path: Pa
         axes.set(xlim=centre[0] + np.array([-40, 40]), ylim=centre[1] + np.array([-40, 40]))
         artists += axes.plot(*places[: number + 1].T, color=_TRACK, lw=1.5, zorder=3)
         artists += axes.plot(*true[number : number + 1].T, "o", color=_TRUTH, ms=7, zorder=4)
-        for mode in one.modes:
+        for mode in one.notable:
             major, minor, azimuth = ellipse(mode.covariance[:2, :2])
             artists.append(
                 axes.add_collection(

@@ -86,7 +86,7 @@ def save_rerun(
         frames = zip(track.times_s, track.estimates, images, truths, strict=True)
         for time_s, one, image, truth in frames:
             recording.set_time(_TIMELINE, duration=time_s - track.times_s[0])
-            _log_modes(rr, recording, ground, one.modes)
+            _log_modes(rr, recording, ground, one.notable)
             if truth is not None:
                 at = ground.pixels(np.array([offset_m(track.origin, truth[:2])]))
                 recording.log("map/truth", rr.Points2D(at, colors=[_TRUTH], radii=4.0))

@@ -59,7 +59,7 @@ class Tracked:
             "frames": len(estimates),
             "seconds": round(self.track.times_s[-1] - self.track.times_s[0], 3),
             "seen": sum(one.seen for one in estimates),
-            "sure": sum(one.probability > 0.9 for one in estimates),
+            "sure": sum(one.sure for one in estimates),
             "std_place_median_m": round(float(np.median(spread)), 3),
             "smoothed": self.smoothed,
             "last": {"lat": last.lat, "lon": last.lon, "heading_deg": last.heading_deg},

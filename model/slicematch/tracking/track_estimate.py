@@ -11,6 +11,11 @@ from slicematch.localization.probabilities import ellipse
 
 Floats = NDArray[np.float64]
 
+# Estimates that are less likely are in doubt. Other places together keep 5 % at least.
+SURE = 0.8
+# Of those, the ones that hold less are not worth a look.
+NOTABLE = 0.02
+
 
 @dataclass(frozen=True)
 class TrackMode:
@@ -89,6 +94,16 @@ class TrackEstimate:
     def probability(self) -> float:
         """That its mode is the right one."""
         return self.modes[0].probability
+
+    @property
+    def sure(self) -> bool:
+        """Whether the answer's mode is likely to be the right one."""
+        return self.probability > SURE
+
+    @property
+    def notable(self) -> tuple[TrackMode, ...]:
+        """The answer's mode, and the others that are not too unlikely to be shown."""
+        return self.modes[:1] + tuple(one for one in self.modes[1:] if one.probability >= NOTABLE)
 
     def as_row(self) -> dict[str, Any]:
         """The estimate as one flat row, rounded to what can matter."""

@@ -29,8 +29,8 @@ log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
 
 
-# In doubt are beliefs whose likeliest hypothesis is less likely than this.
-SURE = 0.9
+# Beliefs whose likeliest hypothesis is less likely than this are searched more often.
+CERTAIN = 0.9
 # Of a belief that begins without an image.
 START_ELSEWHERE = 0.1
 # Beyond this much of a gap the motion between two frames is anybody's guess.
@@ -328,7 +328,7 @@ class Tracker:
             self.hypotheses = [
                 replace(one, probability=one.probability * (1.0 - lost)) for one in self.hypotheses
             ] + found
-        self._doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < SURE
+        self._doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < CERTAIN
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
         self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
         self._unsearched_m, self._fix_evidence = 0.0, 1.0

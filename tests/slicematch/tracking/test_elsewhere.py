@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from slicematch.data.maps import AerialMap
 from slicematch.localization.on_map import PlaceOnGlobe
-from slicematch.tracking.elsewhere import FORGOTTEN, LEAST_MASS, Elsewhere
+from slicematch.tracking.elsewhere import LEAST_MASS, Elsewhere
 from slicematch.tracking.fixes import PlacedFix
 from slicematch.tracking.hypotheses import Hypothesis
 from slicematch.tracking.local_scores import LocalScorer

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,17 @@ def make_track(count=20):
 @pytest.fixture(scope="module")
 def track():
     return make_track()
+
+
+def test_an_estimate_is_sure_or_not_and_shows_what_is_notable():
+    mode = make_track(1).estimates[0].modes[0]
+    modes = tuple(replace(mode, probability=share) for share in (0.7, 0.2, 0.02, 0.01))
+    doubt = TrackEstimate(0.0, modes, True)
+    assert not doubt.sure
+    assert doubt.notable == modes[:3]
+    assert TrackEstimate(0.0, (mode,), True).sure
+    lost = TrackEstimate(0.0, (replace(mode, probability=0.001),), True)
+    assert lost.notable == lost.modes  # the answer is always shown
 
 
 def test_tum_is_a_pose_a_line(track, tmp_path):
