@@ -53,10 +53,9 @@ axes.set_axis_off()
 # How the belief grew sure
 # ------------------------
 #
-# At first several places look alike. Each estimate has all of them, the likeliest first (those of 2 %
-# and more are ``notable``), and a
-# covariance; what was found of the odometry comes along: by how much its speeds are short, and what
-# its gyroscope says when the car goes straight.
+# At first several places look alike. Each estimate has all of them, the likeliest first (those of
+# 2 % and more are ``notable``), and a covariance; what was found of the odometry comes along: by
+# how much its speeds are short, and what its gyroscope says when the car goes straight.
 
 for time_s, estimate in list(zip(tracked.track.times_s, tracked.track.estimates, strict=True))[::5]:
     print(
