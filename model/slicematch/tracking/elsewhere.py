@@ -168,7 +168,7 @@ class Elsewhere:
         Their sum is how likely the fix is by them.
         """
         if self._histogram is None:
-            prior = self._at_the_start(poses)
+            prior = self._at_the_start(self._before(poses))
             return prior / prior.sum()
         anywhere = np.full(len(poses), 1.0 / len(poses))
         if fix is not None:
@@ -193,16 +193,20 @@ class Elsewhere:
             prior -= np.square(off / deviation) / 2
         return np.exp(prior - prior.max())
 
-    def _moved(self, poses: Floats) -> Floats:
-        """Of the last histogram, what has come to poses [K, 3]: not 1 in all."""
-        assert self._histogram is not None
+    def _before(self, poses: Floats) -> Floats:
+        """Where a camera was at the last search, or the start, that is now at poses [K, 3]."""
         right_m, forward_m, turn_deg = self._motion[0, :3]
         before = poses.copy()
         before[:, HEADING] -= turn_deg
         angle = np.radians(before[:, HEADING])
         before[:, EAST] -= forward_m * np.sin(angle) + right_m * np.cos(angle)
         before[:, NORTH] -= forward_m * np.cos(angle) - right_m * np.sin(angle)
-        u, v, heading_deg = self._histogram.tile.poses(before).T
+        return before
+
+    def _moved(self, poses: Floats) -> Floats:
+        """Of the last histogram, what has come to poses [K, 3]: not 1 in all."""
+        assert self._histogram is not None
+        u, v, heading_deg = self._histogram.tile.poses(self._before(poses)).T
         grid, likely = self.scorer.coarse_grid, self._histogram.likely.reshape(COARSE_GRID)
         likely = np.concatenate([likely, likely[..., :1]], axis=2)
         at = [

@@ -72,3 +72,7 @@ class TrackSettings:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{name} is {value:g}; it must be above 0")
+        for name in ("standing", "outliers", "says_nothing", "least_elsewhere"):
+            value = getattr(self, name)
+            if not 0 < value < 1:
+                raise ConfigError(f"{name} is {value:g}; it must be between 0 and 1")

@@ -49,6 +49,16 @@ def test_it_begins_with_what_is_known_of_the_start(elsewhere, ground):
     assert np.ptp(search.prior.reshape(-1, 32), axis=1).max() < 1e-12  # no heading is likelier
 
 
+def test_a_start_that_no_image_was_of_moves_on_too(elsewhere, ground):
+    for _ in range(4):
+        elsewhere.move(Odometry(10.0), 0.25, 1.0, 0.0)
+    elsewhere.probability = 0.1
+    search = elsewhere.search(ground, [cloud([0.0, 0.0, 0.0])], None, 0.0)
+    ahead = np.abs((search.poses[:, 2] - 90.0 + 180) % 360 - 180) < 1.0  # to the east
+    mean = search.prior[ahead] @ search.poses[ahead, :2] / search.prior[ahead].sum()
+    np.testing.assert_allclose(mean, [10.0, 0.0], atol=2.5)
+
+
 @pytest.mark.parametrize(
     "odometry", [Odometry(8.0), Odometry(6.0, 40.0), Odometry(0.0, -30.0), Odometry(5.0, 20.0, 2.0)]
 )

@@ -189,3 +189,7 @@ def test_settings_are_checked():
         TrackSettings(particles=5)
     with pytest.raises(ConfigError, match="search_s is 0; it must be above 0"):
         TrackSettings(search_s=0.0)
+    for name in ("standing", "outliers", "says_nothing", "least_elsewhere"):
+        for value in (0.0, 1.0, math.nan):
+            with pytest.raises(ConfigError, match=f"{name} is .*; it must be between 0 and 1"):
+                TrackSettings(**{name: value})
