@@ -17,7 +17,6 @@ import json
 import math
 import resource
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +33,9 @@ from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.tracking.drive import Frame, open_drive
 from slicematch.tracking.errors import SETTLED_S, STREET_M
 from slicematch.tracking.tracker import Tracker
+
+from slicemask.errors import OutputError
+from slicemask.files import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "tracking.json"
 FIX_M, JUMP_M, JUMP_AT_S, BACK_WITHIN_S, BACK_M = 20.0, 30.0, 20.0, 10.0, 5.0
@@ -57,11 +59,13 @@ def main(
     found = []
     for number, path in enumerate(sorted(Path(root).glob("drive_*.csv"))[:drives]):
         kept = Path(work) / f"{path.stem}.json"
-        if not kept.exists():
+        asked = {"run": run, "root": str(Path(root).resolve()), "single_every": single_every}
+        if not kept.exists() or json.loads(kept.read_text())["asked"] != asked:
             frames = list(open_drive(path, localizer.config))
             content = measure(localizer, aerial_map, frames, cache, single_every, number)
             kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(json.dumps(content) + "\n")
+            with atomic_write(kept, OutputError) as part:
+                part.write_text(json.dumps({"asked": asked} | content) + "\n")
         found.append(json.loads(kept.read_text()))
         click.echo(f"{path.name}: {json.dumps(summary(found[-1:]))}", err=True)
         Path(out).write_text(json.dumps({"run": run} | summary(found), indent=1) + "\n")
@@ -125,6 +129,10 @@ def back_after_s(
     moved.rng = copy.deepcopy(tracker.rng)
     moved.elsewhere = copy.copy(tracker.elsewhere)
     moved.elsewhere.rng = moved.rng
+    # Nor does it know of the truth what no hypothesis does.
+    tile = tracker.tiles.at(*tracker.hypotheses[0].mean()[:2])
+    count = len(tracker.scorer.coarse_grid.poses())
+    moved.elsewhere.keep(tile, np.full(count, 1.0 / count))
     way = JUMP_M * np.array([math.sin(angle), math.cos(angle), 0.0, 0.0, 0.0])
     moved.hypotheses = [replace(one, states=one.states + way) for one in tracker.hypotheses]
     for later in range(number + 1, len(frames)):
@@ -182,7 +190,7 @@ def summary(drives: list[dict[str, Any]]) -> dict[str, Any]:
         seconds = every(name, "seconds")
         content[name] = {
             **_errors(every(name, "m")),
-            "wrong_street_se": round(_standard_error(wrong), 4),
+            "wrong_street_se": _standard_error(wrong),
             "median_deg": round(float(np.median(every(name, "deg"))), 3),
             "inside_95_ellipse": round(float(every(name, "inside").mean()), 4),
             "back_in_10_s": sum(drive[name]["back_s"] is not None for drive in drives),
@@ -201,9 +209,10 @@ def _errors(metres: np.ndarray) -> dict[str, float]:
     }
 
 
-def _standard_error(values: Iterable[float]) -> float:
-    values = list(values)
-    return float(np.std(values, ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
+def _standard_error(values: list[float]) -> float | None:
+    if len(values) < 2:
+        return None
+    return round(float(np.std(values, ddof=1) / math.sqrt(len(values))), 4)
 
 
 def table(content: dict[str, Any]) -> Table:

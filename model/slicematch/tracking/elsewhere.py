@@ -125,7 +125,7 @@ class Elsewhere:
         fix : PlacedFix, optional
             What a satellite receiver says at this time.
         fix_share : float
-            What it counts as.
+            What the fixes since the last search count as.
 
         Returns
         -------
@@ -137,7 +137,8 @@ class Elsewhere:
             return None
         poses = tile.states(self.scorer.coarse_grid.poses())
         scores = self.scorer.whole(ground, tile.scored).scores.ravel()
-        prior = self._prior(tile, poses, fix, fix_share)
+        forgotten = FORGOTTEN if hypotheses else 0.0
+        prior = self._prior(tile, poses, fix, fix_share, forgotten)
         fix_evidence = float(prior.sum())
         for one in hypotheses:
             prior[_within(poses, one.mean(), KNOWN_M)] = 0.0
@@ -161,27 +162,29 @@ class Elsewhere:
         return self.tiles.at(east_m + east * away_m, north_m + north * away_m)
 
     def _prior(
-        self, tile: TrackTile, poses: Floats, fix: PlacedFix | None, fix_share: float
+        self,
+        tile: TrackTile,
+        poses: Floats,
+        fix: PlacedFix | None,
+        fix_share: float,
+        forgotten: float,
     ) -> Floats:
         """Probabilities of a tile's candidates [K] before the image is seen.
 
         Their sum is how likely the fix is by them.
         """
-        if self._histogram is None:
-            prior = self._at_the_start(self._before(poses))
-            return prior / prior.sum()
+        kept = self._moved(poses)
+        total = float(kept.sum())
+        # What has come into the tile since, and all of it where the tile is another one.
+        held = (1.0 - forgotten) * min(1.0, total)
+        kept *= held / max(total, 1e-12)
         anywhere = np.full(len(poses), 1.0 / len(poses))
         if fix is not None:
             rows, columns, headings = COARSE_GRID
             places = fix.prior(poses[::headings, :2], tile.side_m**2 / (rows * columns))
             anywhere = np.repeat(places / headings, headings)
-        kept = self._moved(poses)
-        total = kept.sum()
-        if not total > 0:
-            return anywhere
-        if fix is not None:
             kept *= fix.likelihood(poses[:, :2]) ** fix_share
-        return (1.0 - FORGOTTEN) * kept / total + FORGOTTEN * anywhere
+        return kept + (1.0 - held) * anywhere
 
     def _at_the_start(self, poses: Floats) -> Floats:
         prior = np.zeros(len(poses))
@@ -204,8 +207,10 @@ class Elsewhere:
         return before
 
     def _moved(self, poses: Floats) -> Floats:
-        """Of the last histogram, what has come to poses [K, 3]: not 1 in all."""
-        assert self._histogram is not None
+        """Of what was elsewhere at the last search, or the start, what has come to poses [K, 3]."""
+        if self._histogram is None:
+            likely = self._at_the_start(self._before(poses))
+            return likely / likely.sum()
         u, v, heading_deg = self._histogram.tile.poses(self._before(poses)).T
         grid, likely = self.scorer.coarse_grid, self._histogram.likely.reshape(COARSE_GRID)
         likely = np.concatenate([likely, likely[..., :1]], axis=2)
@@ -269,7 +274,7 @@ class Search:
             found.append(Hypothesis(states, weights, probability * mass))
             left[around] = 0.0
         rest = float(left.sum())
-        self.elsewhere.probability = probability * rest
+        self.elsewhere.probability = probability * min(1.0, rest)
         self.elsewhere.keep(self.tile, left / max(rest, 1e-12))
         return found
 

@@ -6,7 +6,7 @@ none of them rules a place out.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +49,9 @@ class PlacedFix:
         """What it counts as, where the last one that counted was at that time."""
         return min(1.0, max(0.0, self.time_s - before_s) / LASTS_S)
 
-    def later(self, time_s: float, speed_mps: float) -> "PlacedFix":
-        """What it still says later, where the camera may have gone any way at such a speed."""
-        spread_m = math.hypot(self.deviation_m, speed_mps * (time_s - self.time_s))
-        return PlacedFix(self.east_m, self.north_m, spread_m, self.time_s)
+    def after(self, way_m: float) -> "PlacedFix":
+        """What it still says where the camera has gone so far since, nobody knows which way."""
+        return replace(self, deviation_m=math.hypot(self.deviation_m, way_m))
 
     def prior(self, places: Floats, area_m2: float) -> Floats:
         """Probabilities of places [P, 2] that stand for so much ground each: at most 1 in all.

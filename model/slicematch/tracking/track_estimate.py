@@ -11,9 +11,9 @@ from slicematch.localization.probabilities import ellipse
 
 Floats = NDArray[np.float64]
 
-# Estimates that are less likely are in doubt. Other places together keep 5 % at least.
+# Less likely estimates are in doubt; after a search other places together have 5 % at least.
 SURE = 0.8
-# Of those, the ones that hold less are not worth a look.
+# Less likely modes, but for the first, are not shown.
 NOTABLE = 0.02
 
 

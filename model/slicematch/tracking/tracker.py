@@ -16,7 +16,7 @@ from slicematch.data.positions import Fix
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.on_map import PlaceOnGlobe, tile_side
 from slicematch.tracking.elsewhere import Elsewhere
-from slicematch.tracking.fixes import LASTS_S, PlacedFix, deviation_of
+from slicematch.tracking.fixes import PlacedFix, deviation_of
 from slicematch.tracking.hypotheses import Hypothesis, merged, normalised
 from slicematch.tracking.local_scores import LocalScorer
 from slicematch.tracking.odometry import BIAS, HEADING, SCALE, Odometry, move
@@ -31,8 +31,10 @@ Floats = NDArray[np.float64]
 
 # Beliefs whose likeliest hypothesis is less likely than this are searched more often.
 CERTAIN = 0.9
-# Of a belief that begins without an image.
+# Of a belief that begins without an image, or with one that says nothing.
 START_ELSEWHERE = 0.1
+# What is followed is not given up at once.
+MOST_ELSEWHERE = 0.99
 # Beyond this much of a gap the motion between two frames is anybody's guess.
 LONGEST_GAP_S = 10.0
 # Particles' spread around a mean that scores are needed for, in standard deviations.
@@ -112,10 +114,12 @@ class Tracker:
         self._odometry = Odometry(0.0)
         self._way_m = 0.0  # since the last image that was used
         self._unsearched_m = 0.0  # since the last search
-        self._searched_s, self._search_due_s = 0.0, self.settings.doubt_search_s
+        self._search_due_s = self.settings.doubt_search_s
         self._doubt = False
         self._fix: PlacedFix | None = None  # the last one
-        self._fix_evidence = 1.0  # how likely fixes since the last search are by the hypotheses
+        self._since_fix_m = 0.0
+        # How likely fixes since the last search are by the hypotheses, and what they count as.
+        self._fix_evidence, self._fix_share = 1.0, 0.0
         self._notes: list[str] = []
 
     def __enter__(self) -> "Tracker":
@@ -214,6 +218,7 @@ class Tracker:
         gone_m = abs(self._odometry.speed_mps) * dt_s
         self._way_m += gone_m
         self._unsearched_m += gone_m
+        self._since_fix_m += gone_m
         # A turn shows other things too.
         turned = abs(self._odometry.yaw_rate_dps) * dt_s / 90.0
         self._way_m += turned * self.settings.independent_m
@@ -232,6 +237,7 @@ class Tracker:
             likely = placed.likelihood(one.states[:, :2])
             after, evidence = one.weighed(share * np.log(likely))
             weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
+        self._since_fix_m, self._fix_share = 0.0, self._fix_share + share
         self._fix_evidence *= sum(one.probability for one in weighed)
         self.hypotheses = normalised(weighed)
 
@@ -273,7 +279,7 @@ class Tracker:
             if some is not None
         ]
         self.hypotheses = normalised(weighed)
-        if self.time_s >= self._search_due_s and belief:
+        if self.time_s >= self._search_due_s:
             self._search(ground, belief)
         return True
 
@@ -294,16 +300,16 @@ class Tracker:
         """The first belief: what the first image says within what is known of the place."""
         settings = self.settings
         search = None if ground is None else self.elsewhere.search(ground, [], None, 0.0)
-        if search is None:
-            self._say("there is no first image, so that the belief is what was known before")
+        if search is not None:
+            likely = self._in_tile(search.scores, search.scores)
+            self.hypotheses = search.hypotheses(likely, 1.0, settings.other_particles)
+            self.hypotheses = normalised(merged(self.hypotheses))
+        else:
+            lacks = "first image" if ground is None else "map at the start"
+            self._say(f"there is no {lacks}, so that the belief is what was known before")
+        if not self.hypotheses:
             self.hypotheses = [self.elsewhere.blind(4 * settings.particles)]
             self.elsewhere.probability = START_ELSEWHERE
-            return
-        likely = self._in_tile(search.scores, search.scores)
-        self.hypotheses = search.hypotheses(likely, 1.0, settings.other_particles)
-        if not self.hypotheses:
-            self.hypotheses = [self.elsewhere.blind(settings.particles)]
-        self.hypotheses = normalised(merged(self.hypotheses))
 
     def _search(self, ground: Tensor, belief: list[tuple[Floats, Floats]]) -> None:
         """Search the whole tile; by Bayes' rule, how likely it is that the camera is elsewhere.
@@ -312,26 +318,29 @@ class Tracker:
         the particles before the image.
         """
         settings, elsewhere = self.settings, self.elsewhere
-        gap_s = self.time_s - self._searched_s
-        fix = self._fix and self._fix.later(self.time_s, self._odometry.speed_mps)
-        search = elsewhere.search(ground, self.hypotheses, fix, min(1.0, gap_s / LASTS_S))
+        fix = self._fix and self._fix.after(self._since_fix_m)
+        search = elsewhere.search(ground, self.hypotheses, fix, min(1.0, self._fix_share))
         if search is not None:
-            weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
             share = min(1.0, max(self._unsearched_m / settings.same_sight_m, settings.standing))
             there = self._in_tile(search.scores, search.scores) ** share
-            here = self._in_tile(scores, search.scores) ** share
+            here = settings.says_nothing**share  # where there is no map
+            if belief:
+                weights, scores = (np.concatenate(part) for part in zip(*belief, strict=True))
+                suits = self._in_tile(scores, search.scores) ** share
+                here = float(weights @ suits / weights.sum())
             lost = elsewhere.probability * search.fix_evidence * float(search.prior @ there)
             kept = (1.0 - elsewhere.probability) * self._fix_evidence
-            kept *= float(weights @ here / weights.sum())
-            lost = max(lost / (lost + kept), settings.least_elsewhere)
+            kept *= here
+            lost = min(max(lost / (lost + kept), settings.least_elsewhere), MOST_ELSEWHERE)
             found = search.hypotheses(there, lost, settings.other_particles)
-            self.hypotheses = [
+            known = [
                 replace(one, probability=one.probability * (1.0 - lost)) for one in self.hypotheses
-            ] + found
+            ]
+            self.hypotheses = normalised(known + found)
+            self._unsearched_m, self._fix_evidence, self._fix_share = 0.0, 1.0, 0.0
         self._doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < CERTAIN
         pause_s = settings.doubt_search_s if self._doubt else settings.search_s
-        self._searched_s, self._search_due_s = self.time_s, self.time_s + pause_s
-        self._unsearched_m, self._fix_evidence = 0.0, 1.0
+        self._search_due_s = self.time_s + pause_s
 
     def _likelihood(self, scores: Floats, most: float) -> Floats:
         """How likely places are by their scores, against the best one."""

@@ -47,8 +47,8 @@ def test_fixes_do_not_average_while_their_error_lasts():
 
 def test_what_a_fix_says_fades_as_the_camera_goes_on():
     fix = PlacedFix(1.0, 2.0, 3.0, 10.0)
-    assert fix.later(10.0, 8.0) == fix
-    assert fix.later(10.5, 8.0).deviation_m == pytest.approx(5.0)
+    assert fix.after(0.0) == fix
+    assert fix.after(4.0).deviation_m == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize(
