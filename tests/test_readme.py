@@ -178,7 +178,7 @@ def options():
     }
     torchrun = {"--nnodes", "--nproc-per-node", "--rdzv-backend", "--rdzv-endpoint"}
     srun = {"--nodes", "--ntasks-per-node"}
-    benchmarks = {"--prior", "--sheet"}
+    benchmarks = {"--prior", "--sheet", "--single-every"}
     return found | torchrun | srun | benchmarks | {"--help", "--logdir"}
 
 

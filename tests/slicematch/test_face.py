@@ -108,8 +108,9 @@ def test_every_name_is_typed(tmp_path):
     (tmp_path / "user.py").write_text("\n".join(["import slicematch", *lines]) + "\n")
     done = subprocess.run(
         [
+            # With what `make lint` has found already, where it ran: a minute and a half less.
             *[sys.executable, "-m", "mypy", "--config-file", root / "pyproject.toml"],
-            *["--cache-dir", tmp_path / "cache", tmp_path / "user.py"],
+            tmp_path / "user.py",
         ],
         cwd=root,
         capture_output=True,
