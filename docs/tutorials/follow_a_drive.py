@@ -68,8 +68,8 @@ for time_s, estimate in list(zip(tracked.track.times_s, tracked.track.estimates,
 # Afterwards
 # ----------
 #
-# Who needs a map of what was driven, not a position while driving, lets later frames improve
-# earlier ones: ``smoothed=True``, or ``--smooth``.
+# Who needs a map of what was driven, not a position while driving, lets later frames have a say in
+# earlier ones: ``smoothed=True``, or ``--smooth``. Headings gain by it, places not on every drive.
 
 smoothed = track(
     "generated-city", "data/drive/drive_00.csv", "data/drive/map.tif", "data/drive/smooth.tum",

@@ -46,7 +46,7 @@ _HEADING_DEG = 15.0
     "--fixes/--no-fixes", default=True, show_default=True, help="Use GNSS along the way, not only "
     "where it begins."
 )  # fmt: skip
-@click.option("--smooth", "smoothed", is_flag=True, help="Let later frames improve earlier ones.")
+@click.option("--smooth", "smoothed", is_flag=True, help="Let later frames have a say too.")
 @click.option("--picture", metavar="FILE", help="The track on its map: PNG, SVG, PDF.")
 @click.option("--animation", metavar="FILE", help="The track frame by frame: GIF.")
 @click.option("--rerun", metavar="FILE", help="For the Rerun viewer: .rrd.")
