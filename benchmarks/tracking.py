@@ -56,20 +56,21 @@ def main(
     torch.set_num_threads(1)
     localizer = Localizer.load(run, cache=cache, grid="21x21x64")
     aerial_map = AerialMap.open(Path(root) / "map.tif")
+    asked = {"run": run, "root": str(Path(root).resolve()), "single_every": single_every}
     found = []
     for number, path in enumerate(sorted(Path(root).glob("drive_*.csv"))[:drives]):
         kept = Path(work) / f"{path.stem}.json"
-        asked = {"run": run, "root": str(Path(root).resolve()), "single_every": single_every}
         if not kept.exists() or json.loads(kept.read_text())["asked"] != asked:
             frames = list(open_drive(path, localizer.config))
-            content = measure(localizer, aerial_map, frames, cache, single_every, number)
+            measured = measure(localizer, aerial_map, frames, cache, single_every, number)
             kept.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(kept, OutputError) as part:
-                part.write_text(json.dumps({"asked": asked} | content) + "\n")
+                part.write_text(json.dumps({"asked": asked} | measured) + "\n")
         found.append(json.loads(kept.read_text()))
+        content = summary(found)
         click.echo(f"{path.name}: {json.dumps(summary(found[-1:]))}", err=True)
-        Path(out).write_text(json.dumps({"run": run} | summary(found), indent=1) + "\n")
-    Console(width=100).print(table(summary(found)))
+        Path(out).write_text(json.dumps({"run": run} | content, indent=1) + "\n")
+    Console(width=100).print(table(content))
 
 
 def measure(

@@ -26,6 +26,7 @@ from slicematch import Localizer
 from slicematch.data.maps import AerialMap
 from slicematch.data.positions import Fix
 from slicematch.localization.on_map import PlaceOnGlobe
+from slicematch.tracking.bag_drive import fix_of
 from slicematch.tracking.live import newest
 from slicematch.tracking.odometry import Odometry
 from slicematch.tracking.outputs import yaw_quaternion
@@ -57,15 +58,12 @@ class TrackNode(Node):
 
     def keep_fix(self, message: NavSatFix) -> None:
         """Begin at the first fix; keep others until the next image."""
-        if message.status.status < 0:
-            return
-        if self.tracker is None:
-            start = PlaceOnGlobe(message.latitude, message.longitude, FIX_M)
+        fix = fix_of(message)
+        if fix is not None and self.tracker is None:
+            start = PlaceOnGlobe(fix.lat, fix.lon, FIX_M)
             self.tracker = Tracker(self.localizer, self.map, start)
-            return
-        variance = (message.position_covariance[0] + message.position_covariance[4]) / 2
-        accuracy_m = math.sqrt(variance) if variance > 0 else None
-        self.fix = Fix(message.latitude, message.longitude, accuracy_m)
+        elif fix is not None:
+            self.fix = fix
 
     def move(self, message: OdometryMessage) -> None:
         """Keep what the odometry says until the next image."""

@@ -76,7 +76,7 @@ class BagDrive:
                 elif topic == self.imu:
                     turns["imu"].append(_clockwise_dps(message.angular_velocity.z))
                 elif topic == self.fix:
-                    fix = _fix(message)
+                    fix = fix_of(message)
                 elif topic == self.camera_info:
                     camera = _camera(message) if camera is None else camera
                 else:
@@ -160,7 +160,8 @@ def _time_s(message: Any, stamp: int) -> float:
     return float(seconds if seconds > 0 else stamp * 1e-9)
 
 
-def _fix(message: Any) -> Fix | None:
+def fix_of(message: Any) -> Fix | None:
+    """What a sensor_msgs/NavSatFix says; None where it has no fix."""
     if message.status.status < 0 or not math.isfinite(message.latitude + message.longitude):
         return None
     variance = float(np.mean(np.asarray(message.position_covariance)[[0, 4]]))

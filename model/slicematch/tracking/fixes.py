@@ -42,8 +42,7 @@ class PlacedFix:
 
     def likelihood(self, places: Floats) -> Floats:
         """How likely places [P, 2] (east_m, north_m) are by it, against the fix's own: [P]."""
-        away_m = np.hypot(places[:, 0] - self.east_m, places[:, 1] - self.north_m)
-        return np.asarray((1.0 - WRONG) * np.exp(-0.5 * (away_m / self.deviation_m) ** 2) + WRONG)
+        return (1.0 - WRONG) * self._bell(places) + WRONG
 
     def share_after(self, before_s: float) -> float:
         """What it counts as, where the last one that counted was at that time."""
@@ -58,12 +57,14 @@ class PlacedFix:
 
         What is missing to 1 lies elsewhere.
         """
-        density = np.exp(
-            -0.5 * ((places - [self.east_m, self.north_m]) ** 2).sum(axis=1) / self.deviation_m**2
-        )
-        shares = density * area_m2 / (2.0 * math.pi * self.deviation_m**2)
+        shares = self._bell(places) * area_m2 / (2.0 * math.pi * self.deviation_m**2)
         shares /= max(1.0, float(shares.sum()))
-        return np.asarray((1.0 - WRONG) * shares + WRONG / len(places))
+        return (1.0 - WRONG) * shares + WRONG / len(places)
+
+    def _bell(self, places: Floats) -> Floats:
+        """The normal distribution about the fix at places [P, 2], 1 at its top."""
+        away_m = np.hypot(places[:, 0] - self.east_m, places[:, 1] - self.north_m)
+        return np.asarray(np.exp(-0.5 * (away_m / self.deviation_m) ** 2))
 
 
 def deviation_of(accuracy_m: float | None) -> float:

@@ -51,10 +51,10 @@ def save_rerun(
     """Write a track as a recording of Rerun's.
 
     ``/map`` is a picture of the map, north up, and what lies on it is in its pixels: ``track``,
-    ``modes`` (arrows along their headings, the likelier the more opaque), ``ellipses`` (95 % of
-    each), ``truth``. ``/image`` is what the camera saw, ``/belief`` holds the
-    answer's probability and its ellipse's semi-axes in metres. The timeline ``time`` counts seconds
-    of the drive.
+    ``modes`` (those that are notable, as arrows along their headings, the likelier the more
+    opaque), ``ellipses`` (95 % of each), ``truth``. ``/image`` is what the camera saw, ``/belief``
+    holds the answer's probability and its ellipse's semi-axes in metres. The timeline ``time``
+    counts seconds of the drive.
 
     Parameters
     ----------

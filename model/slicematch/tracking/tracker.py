@@ -76,7 +76,7 @@ class Tracker:
     -----
     Each step predicts by odometry, weighs particles by the scores of candidates around them, and
     resamples. Now and then the whole tile is searched, and what is found away from all hypotheses
-    becomes one more (`slicematch.tracking.hypotheses`).
+    becomes one more (`slicematch.tracking.hypotheses`, `slicematch.tracking.elsewhere`).
 
     Examples
     --------
@@ -115,7 +115,6 @@ class Tracker:
         self._way_m = 0.0  # since the last image that was used
         self._unsearched_m = 0.0  # since the last search
         self._search_due_s = self.settings.doubt_search_s
-        self._doubt = False
         self._fix: PlacedFix | None = None  # the last one
         self._since_fix_m = 0.0
         # How likely fixes since the last search are by the hypotheses, and what they count as.
@@ -329,8 +328,7 @@ class Tracker:
                 suits = self._in_tile(scores, search.scores) ** share
                 here = float(weights @ suits / weights.sum())
             lost = elsewhere.probability * search.fix_evidence * float(search.prior @ there)
-            kept = (1.0 - elsewhere.probability) * self._fix_evidence
-            kept *= here
+            kept = (1.0 - elsewhere.probability) * self._fix_evidence * here
             lost = min(max(lost / (lost + kept), settings.least_elsewhere), MOST_ELSEWHERE)
             found = search.hypotheses(there, lost, settings.other_particles)
             known = [
@@ -338,8 +336,8 @@ class Tracker:
             ]
             self.hypotheses = normalised(known + found)
             self._unsearched_m, self._fix_evidence, self._fix_share = 0.0, 1.0, 0.0
-        self._doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < CERTAIN
-        pause_s = settings.doubt_search_s if self._doubt else settings.search_s
+        doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < CERTAIN
+        pause_s = settings.doubt_search_s if doubt else settings.search_s
         self._search_due_s = self.time_s + pause_s
 
     def _likelihood(self, scores: Floats, most: float) -> Floats:
