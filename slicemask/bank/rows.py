@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from slicemask.geometry.distinct import SectorOrbit
 from slicemask.geometry.frustum import Frustum
-from slicemask.geometry.masks import NEGLIGIBLE, Engine, engine_fractions
+from slicemask.geometry.masks import Engine, engine_fractions
+from slicemask.geometry.noise import NEGLIGIBLE
 from slicemask.geometry.symmetry import SYMMETRIES
 
 # Cells of sectors' masks in a piece, at most: 1 MiB of float32, which a processor's cache holds.

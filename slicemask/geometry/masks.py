@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 
 from slicemask.errors import PoseError, SpecError
 from slicemask.geometry.frustum import Frustum
+from slicemask.geometry.noise import NEGLIGIBLE, remove_noise
 from slicemask.geometry.numbers import is_whole
 from slicemask.geometry.poses import check_poses
 
 Engine = Literal["shapely", "rays"]
 
-# A share this close to 0 or 1 is one: it is of the order of rounding noise.
-NEGLIGIBLE = 1e-10
-# Masks computed before they are cleaned, by their values; but never so few sectors at once that
-# calls would cost more than arithmetic.
-_VALUES_AT_ONCE = 1 << 19
+# Slices computed before they are cleaned, by their cells; but never so few at once that calls would
+# cost more than arithmetic.
+_CELLS_AT_ONCE = 1 << 19
 _LEAST_SECTORS = 64
 
 
@@ -128,7 +127,7 @@ def slice_masks(
     if engine == "rays":
         options["widest_deg"] = float(np.diff(frustum.edge_offsets_deg()).max()) + 1e-9
     # Cleaned while they are in the processor's cache.
-    step = max(_LEAST_SECTORS, _VALUES_AT_ONCE // (frustum.band_count * cells**2))
+    step = max(_LEAST_SECTORS, _CELLS_AT_ONCE // cells**2)
     for start in range(0, len(u), step):
         some = slice(start, start + step)
         part = flat[some]
@@ -138,16 +137,9 @@ def slice_masks(
                           **options)  # fmt: skip
         if engine != "rays":
             part[:] = found
-        _remove_noise(part)
+        if engine != "rays" or not frustum.bands:  # those are cleaned where they are not empty
+            remove_noise(part)
     return masks
-
-
-def _remove_noise(fractions: NDArray[np.float64]) -> None:
-    """Make fractions that are 0 or 1 but for rounding so, in place."""
-    chosen = np.less(fractions, NEGLIGIBLE)
-    np.copyto(fractions, 0.0, where=chosen)
-    np.greater(fractions, 1.0 - NEGLIGIBLE, out=chosen)
-    np.copyto(fractions, 1.0, where=chosen)
 
 
 def _array_for_masks(shape: tuple[int, ...], out: Any) -> NDArray[np.float64]:

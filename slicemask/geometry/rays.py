@@ -28,6 +28,7 @@ import array_api_compat
 import numpy as np
 
 from slicemask.geometry.azimuths import direction
+from slicemask.geometry.noise import remove_noise
 from slicemask.geometry.ranges import (
     BEYOND,
     Cut,
@@ -137,22 +138,31 @@ def _bands_in_place(
     fractions = np.empty((count, len(bands) + 1, cells, cells)) if out is None else out
     fractions[:, :-1] = 0.0
     whole = _fractions(sectors, tile, widest_deg, np, fractions[:, -1])
-    # A band is what lies within its far range, less what lies within its near one: in the order
-    # of the ranges, the band that is next holds all of the slice that is left.
-    if any(range_ >= BEYOND for range_ in bands):
-        whole = whole.copy()
+    # A band is what lies within its far range, less what lies within its near one.
+    nearer: tuple[Any, _Window] | None = None
     for band, range_ in enumerate(bands):
         if range_ >= BEYOND:
-            fractions[:, band] += whole
-            fractions[:, band + 1] -= whole
-            continue
+            fractions[:, band] = whole
+            if nearer is not None:
+                _take_off(fractions[:, band], tile, *nearer)
+            remove_noise(fractions[:, band])
+            whole[:] = 0.0
+            break
         window = tile
         if sectors.heading_deg is None:
             window = _Window.around(sectors.u, sectors.v, range_, cells)
         within = _fractions(replace(sectors, range=range_), window, widest_deg, np)
-        for some, rows, columns in window.pieces(count):
-            fractions[some, band, rows, columns] += within[some]
-            fractions[some, band + 1, rows, columns] -= within[some]
+        share = within.copy()
+        if nearer is not None:
+            _take_off(share, window, *nearer)
+        remove_noise(share)
+        for some, here, there in window.overlaps(tile, count):
+            fractions[(some, band, *there)] = share[(some, *here)]
+        nearer = within, window
+    else:
+        if nearer is not None:
+            _take_off(whole, tile, *nearer)
+        remove_noise(whole)
     return fractions
 
 
@@ -202,19 +212,22 @@ class _Window:
         )
         return cls(row, column, size, cells)
 
-    def pieces(self, count: int) -> Iterator[tuple[slice, slice, slice]]:
-        """Sectors in a row, of so many, that share a window, and its rows and columns."""
-        if self.size == self.cells:
-            yield slice(0, count), slice(None), slice(None)
-            return
-        moves = np.flatnonzero(np.diff(self.row) | np.diff(self.column)) + 1
-        for start, stop in pairwise([0, *moves.tolist(), count]):
-            row, column = int(self.row[start]), int(self.column[start])
-            yield (
-                slice(start, stop),
-                slice(row, row + self.size),
-                slice(column, column + self.size),
-            )
+    def overlaps(
+        self, other: "_Window", count: int
+    ) -> Iterator[tuple[slice, tuple[slice, slice], tuple[slice, slice]]]:
+        """Sectors in a row, of so many, whose windows lie alike, and the cells in both windows.
+
+        These are rows and columns of this window, and of the other one.
+        """
+        starts = np.empty((4, count), np.int64)
+        for line, start in zip(starts, (self.row, self.column, other.row, other.column)):
+            line[:] = start
+        moves = np.flatnonzero(np.diff(starts).any(axis=0)) + 1
+        for first, last in pairwise([0, *moves.tolist(), count]):
+            row, column, other_row, other_column = starts[:, first].tolist()
+            rows = _overlap(row, self.size, other_row, other.size)
+            columns = _overlap(column, self.size, other_column, other.size)
+            yield slice(first, last), (rows[0], columns[0]), (rows[1], columns[1])
 
     def lattices(self, u: Any, xp: ModuleType) -> tuple[Any, Any]:
         """Coordinates of the horizontal and of the vertical lines, [1 or B, size + 1]."""
@@ -222,6 +235,19 @@ class _Window:
         if isinstance(self.row, int):
             return steps / self.cells, steps / self.cells
         return (self.row[:, None] + steps) / self.cells, (self.column[:, None] + steps) / self.cells
+
+
+def _take_off(fractions: Any, window: _Window, nearer: Any, near_window: _Window) -> None:
+    """Take what lies nearer off fractions, each of a window of its own, in place."""
+    for some, near, here in near_window.overlaps(window, len(fractions)):
+        fractions[(some, *here)] -= nearer[(some, *near)]
+
+
+def _overlap(start: int, size: int, other_start: int, other_size: int) -> tuple[slice, slice]:
+    """What two stretches of cells share, counted from the start of each."""
+    low, high = max(start, other_start), min(start + size, other_start + other_size)
+    high = max(low, high)
+    return slice(low - start, high - start), slice(low - other_start, high - other_start)
 
 
 def _fractions(
