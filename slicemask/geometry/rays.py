@@ -220,7 +220,9 @@ class _Window:
         These are rows and columns of this window, and of the other one.
         """
         starts = np.empty((4, count), np.int64)
-        for line, start in zip(starts, (self.row, self.column, other.row, other.column)):
+        for line, start in zip(
+            starts, (self.row, self.column, other.row, other.column), strict=True
+        ):
             line[:] = start
         moves = np.flatnonzero(np.diff(starts).any(axis=0)) + 1
         for first, last in pairwise([0, *moves.tolist(), count]):

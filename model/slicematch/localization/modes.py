@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from slicemask import PoseGrid
 from slicematch.angles import angle_difference_deg
@@ -110,11 +109,21 @@ def find_modes(
             "not: take another checkpoint, train again with a smaller learning rate, or, where the "
             "precision is 16-mixed, choose bf16-mixed"
         )
-    highest = maximum_filter(scores, size=3, mode=("constant", "constant", "wrap"), cval=-np.inf)
-    peaks = np.flatnonzero(np.isfinite(scores) & (scores == highest))
+    peaks = np.flatnonzero(np.isfinite(scores) & (scores == _highest_around(scores)))
     row, column, heading = np.unravel_index(peaks, grid.shape)
     poses = np.stack([grid.u[column], grid.v[row], grid.headings_deg[heading]], axis=1)
     return non_maximum_suppression(poses, scores.ravel()[peaks].astype(np.float64), grid, most)
+
+
+def _highest_around(scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The highest score of each candidate and its 26 neighbours; headings go round.
+
+    scipy's filter does the same, but its import is a twentieth of the time to the first answer.
+    """
+    highest = np.pad(scores, ((1, 1), (1, 1), (0, 0)), constant_values=-np.inf)
+    highest = np.maximum(highest, np.maximum(np.roll(highest, 1, 2), np.roll(highest, -1, 2)))
+    highest = np.maximum(highest[1:-1], np.maximum(highest[:-2], highest[2:]))
+    return np.maximum(highest[:, 1:-1], np.maximum(highest[:, :-2], highest[:, 2:]))
 
 
 def non_maximum_suppression(

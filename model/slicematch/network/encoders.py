@@ -2,11 +2,8 @@
 
 import hashlib
 import logging
-import math
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +14,7 @@ from torch import Tensor, nn
 
 from slicematch import _torchvision  # noqa: F401  before timm: see there
 from slicematch.devices import autocast
-from slicematch.errors import ConfigError, WeightsError
+from slicematch.errors import WeightsError
 from slicematch.network.imagenet import (
     PACKAGES,
     hub_weights_source,
@@ -25,11 +22,17 @@ from slicematch.network.imagenet import (
     packaged_weights,
 )
 from slicematch.network.pyramid import FeaturePyramid
+from slicematch.network.stages import (
+    Stages,
+    cut_unused,
+    find_stages,
+    first_line,
+    gives_channels_last,
+)
 from slicematch.normalisation import IMAGENET_MEAN, IMAGENET_STD, Triple
 from slicematch.precision import Precision
 
 import timm  # isort: skip
-from timm.layers.format import Format  # isort: skip
 from timm.models import get_pretrained_cfg  # isort: skip
 
 
@@ -58,9 +61,14 @@ class Encoder(nn.Module):
         random at first.
     pyramid_to : int
         Stride of the deepest stage that the pyramid takes.
+    known : Stages, optional
+        What `slicematch.network.stages.find_stages` found before; it is not asked again if it was
+        the same question.
 
     Attributes
     ----------
+    stages : Stages
+        Of the backbone, and what they give.
     channels : int
         C, the channels of the feature map.
     feature_size : (height, width)
@@ -71,9 +79,6 @@ class Encoder(nn.Module):
     weights_source : str or None
         Where the weights come from: timm's name with its tag, such as "resnet50.a1_in1k", or the
         file's name with the start of its SHA-256; None for random ones.
-    smallest_batch : int
-        The smallest batch it trains on: 2 where so little is left of an image that batch
-        normalisation has nothing to average over in one, else 1.
     precision : {"32-true", "16-mixed", "bf16-mixed"}
         In which the backbone computes; "32-true" leaves it to an autocast around it, if any.
 
@@ -102,23 +107,21 @@ class Encoder(nn.Module):
         weights: str | Path = "imagenet",
         pyramid: int | None = None,
         pyramid_to: int = 32,
+        known: Stages | None = None,
     ) -> None:
         super().__init__()
         self.precision: Precision = "32-true"
-        options = _find_stages(name, image_size, stride, stride if pyramid is None else pyramid_to)
-        self.backbone, self.weights_source = _create(name, options, weights)
-        _cut_unused(self.backbone)
+        asked = name, image_size, stride, stride if pyramid is None else pyramid_to
+        self.stages = known if known is not None and known.suit(*asked) else find_stages(*asked)
+        self.backbone, self.weights_source = _create(name, self.stages.options, weights)
+        cut_unused(self.backbone)
         self.mean, self.std = encoder_normalisation(name)
-        # Some backbones give [B, H, W, C].
-        self.channels_last = getattr(self.backbone, "output_fmt", None) == Format.NHWC
-        shapes, self.smallest_batch = _try_images(name, options, image_size)
-        if self.channels_last:
-            shapes = [(shape[0], shape[3], shape[1], shape[2]) for shape in shapes]
-        self.channels = shapes[0][1]
-        self.feature_size = shapes[0][2:]
+        self.channels_last = gives_channels_last(self.backbone)
+        self.channels, *feature_size = self.stages.shapes[0]
+        self.feature_size = feature_size[0], feature_size[1]
         self.pyramid: nn.Module | None = None
         if pyramid is not None:
-            self.pyramid = FeaturePyramid([shape[1] for shape in shapes], pyramid)
+            self.pyramid = FeaturePyramid([shape[0] for shape in self.stages.shapes], pyramid)
             self.channels = pyramid
         # Convolutions with channels last take less time: on a CPU, three quarters of it with VGG16.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -176,96 +179,12 @@ def _triple(values: Any, default: Triple) -> Triple:
     return red, green, blue
 
 
-def _find_stages(
-    name: str, image_size: tuple[int, int], stride: int, deepest: int
-) -> dict[str, Any]:
-    """Options that fit timm's backbone to the images, and its last stages of the strides wanted."""
-    # timm also takes addresses on a hub; a run's settings may not send anyone there.
-    if not timm.is_model(name.split(".")[0]):
-        raise ConfigError(
-            f"encoder {name!r} is no timm model; name one that timm.list_models() lists, such as "
-            "vgg16 or resnet50"
-        )
-    try:
-        # Transformers are built for one image size.
-        options: dict[str, Any] = (
-            {"img_size": image_size} if hasattr(_trial(name), "set_input_size") else {}
-        )
-        net: Any = _trial(name, features_only=True, **options)
-        strides: list[int] = net.feature_info.reduction()
-    except Exception as error:  # each backbone refuses in its own way
-        raise ConfigError(
-            f"encoder {name!r} cannot be made for images of {_size(image_size)} "
-            f"({_first_line(error)}); name one that gives feature maps of such images, such as "
-            "vgg16 or resnet50"
-        ) from error
-    if stride not in strides:
-        raise ConfigError(
-            f"encoder {name!r} has no stage of stride {stride}; it has "
-            f"{', '.join(str(s) for s in sorted(set(strides)))}"
-        )
-    last = {found: stage for stage, found in enumerate(strides)}
-    wanted = sorted(found for found in last if found == stride or stride < found <= deepest)
-    return {**options, "out_indices": tuple(last[found] for found in wanted)}
-
-
-@lru_cache(maxsize=8)  # ground and aerial encoder are mostly alike
-def _trial(name: str, **options: Any) -> Any:
-    """A model to try things on, of shapes alone: no memory, no random numbers."""
-    with torch.device("meta"):
-        return timm.create_model(name, **options)
-
-
-def _cut_unused(backbone: Any) -> None:
-    """Drop blocks that lie deeper than all features, which some backbones go through regardless.
-
-    Of an EfficientNet at stride 16 that is a quarter of the time and most of the weights.
-    """
-    info = backbone.feature_info
-    deepest = re.fullmatch(r"blocks\.(\d+)", info.module_name(info.out_indices[-1]))
-    if deepest and isinstance(getattr(backbone, "blocks", None), nn.Sequential):
-        del backbone.blocks[int(deepest[1]) + 1 :]
-
-
-def _try_images(
-    name: str, options: dict[str, Any], image_size: tuple[int, int]
-) -> tuple[list[tuple[int, int, int, int]], int]:
-    """The shapes of one image's features, and the smallest batch that the backbone trains on."""
-    multiple = 32
-    try:
-        with torch.device("meta"):
-            net: Any = _trial(name, features_only=True, **options)
-            _cut_unused(net)
-            multiple = math.lcm(multiple, *net.feature_info.reduction())
-            image = torch.zeros(1, 3, *image_size)
-            # Batch normalisation takes a single value of a channel only where it does not train.
-            shapes = [tuple(stage.shape) for stage in net.eval()(image)]
-            smallest = 1 if _trains_on(net.train(), image) else 2
-    except Exception as error:  # each backbone refuses in its own way
-        raise ConfigError(
-            f"encoder {name!r} does not take images of {_size(image_size)} "
-            f"({_first_line(error)}); try sides that are multiples of {multiple}"
-        ) from error
-    return shapes, smallest
-
-
-def _trains_on(net: nn.Module, image: Tensor) -> bool:
-    """Whether a network in training takes a batch of one image [1, 3, height, width]."""
-    try:
-        net(image)
-    except ValueError as error:
-        if "more than 1 value per channel" not in str(error):
-            raise
-        return False
-    return True
-
-
 def _create(
     name: str, options: dict[str, Any], weights: str | Path
 ) -> tuple[nn.Module, str | None]:
     """The backbone, and where its weights come from."""
     if str(weights) == "none":
-        return timm.create_model(name, features_only=True, **options), None
+        return timm.create_model(name, **options), None
     if str(weights) == "imagenet":
         return _create_pretrained(name, options)
     backbone = _create_with(name, options, _read_weights(Path(weights)), weights)
@@ -279,10 +198,10 @@ def _create_pretrained(name: str, options: dict[str, Any]) -> tuple[nn.Module, s
     why = "it does not answer"
     if is_hub_within_reach(name):
         try:
-            backbone = timm.create_model(name, features_only=True, pretrained=True, **options)
+            backbone = timm.create_model(name, pretrained=True, **options)
             return backbone, hub_weights_source(name)
         except (OSError, RuntimeError) as error:
-            why = _first_line(error)
+            why = first_line(error)
     packaged = packaged_weights(name)
     if packaged is not None:
         state, source = packaged
@@ -305,13 +224,12 @@ def _create_with(
         with _without_warnings("timm.models._builder"):  # of the classifier, which has no use here
             backbone: nn.Module = timm.create_model(
                 name,
-                features_only=True,
                 pretrained=True,
                 pretrained_cfg_overlay={"state_dict": state},
                 **options,
             )
     except (RuntimeError, KeyError, AttributeError) as error:
-        raise _unfit(source, name, _first_line(error)) from error
+        raise _unfit(source, name, first_line(error)) from error
     # timm passes over what it does not find; here every tensor must have come from the file.
     held: dict[int, list[Tensor]] = {}
     for tensor in state.values():
@@ -347,10 +265,10 @@ def _read_weights(path: Path) -> dict[str, Tensor]:
             f"{path}: there is no such file; weights are 'imagenet', 'none' or a file"
         ) from None
     except (OSError, SafetensorError, RuntimeError, ValueError, EOFError) as error:
-        raise WeightsError(f"{path}: cannot be read as weights ({_first_line(error)})") from error
+        raise WeightsError(f"{path}: cannot be read as weights ({first_line(error)})") from error
     except Exception as error:  # pickle.UnpicklingError and what a hostile pickle provokes
         raise WeightsError(
-            f"{path}: is not a plain file of weights ({_first_line(error)}); save them as "
+            f"{path}: is not a plain file of weights ({first_line(error)}); save them as "
             "safetensors, or as a torch state dict"
         ) from error
     if isinstance(state, dict) and isinstance(state.get("state_dict"), dict):
@@ -364,12 +282,3 @@ def _unfit(source: str | Path, name: str, why: str) -> WeightsError:
     return WeightsError(
         f"{source}: does not fit encoder {name!r} ({why}); give the weights of that timm model"
     )
-
-
-def _first_line(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0].rstrip(".") if lines else type(error).__name__
-
-
-def _size(image_size: tuple[int, int]) -> str:
-    return f"{image_size[0]}x{image_size[1]} pixels (height x width)"

@@ -10,6 +10,7 @@ from slicematch.errors import ConfigError
 from slicematch.network.aggregation import AerialAttention, GroundAggregator
 from slicematch.network.bands import BandedGroundAggregator, RangeBands
 from slicematch.network.encoders import Encoder
+from slicematch.network.stages import Stages
 from slicematch.precision import Precision
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.scores import score_candidates
@@ -44,6 +45,8 @@ class SliceMatch(nn.Module):
         `slicematch.network.encoders.Encoder`.
     pyramid_to : int
         Stride of the deepest stage that it takes.
+    known : (Stages, Stages), optional
+        Of the ground and of the aerial encoder, found before: see there.
 
     Attributes
     ----------
@@ -70,13 +73,16 @@ class SliceMatch(nn.Module):
         bands: RangeBands | None = None,
         pyramid: int | None = None,
         pyramid_to: int = 32,
+        known: tuple[Stages, Stages] | None = None,
     ) -> None:
         super().__init__()
         if slices < 1:
             raise ConfigError(f"slices is {slices}; it must be at least 1")
         self.ground_encoder, self.aerial_encoder = (
-            Encoder(encoder, size, stride, weights, pyramid, pyramid_to)
-            for size in (ground_size, (aerial_size, aerial_size))
+            Encoder(encoder, size, stride, weights, pyramid, pyramid_to, stages)
+            for size, stages in zip(
+                (ground_size, (aerial_size, aerial_size)), known or (None, None), strict=True
+            )
         )
         self.channels = self.aerial_encoder.channels
         self.cells = self.aerial_encoder.feature_size[0]
@@ -87,6 +93,11 @@ class SliceMatch(nn.Module):
             rows = self.ground_encoder.feature_size[0]
             self.ground_aggregator = BandedGroundAggregator(self.channels, slices, rows, bands)
         self.aerial_attention = AerialAttention(self.channels, cross_view_attention)
+
+    @property
+    def stages(self) -> tuple[Stages, Stages]:
+        """Of the ground and of the aerial encoder."""
+        return self.ground_encoder.stages, self.aerial_encoder.stages
 
     def forward(self, ground: Tensor, aerial: Tensor, candidates: Candidates) -> Tensor:
         """Images [S, 3, height, width] and [S, 3, A, A] to scores [S, K] of K candidates."""

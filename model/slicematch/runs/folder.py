@@ -9,6 +9,8 @@
     ``weights_only=True``, so that opening a run from elsewhere runs nothing that it holds.
 ``calibration.json``
     The temperature that makes scores probabilities (`slicematch.evaluation.calibration`).
+``stages.json``
+    What its encoders give of its images, so that loading need not find out. It may be missing.
 ``tensorboard/``, ``heat_maps/``, ``bad_samples.jsonl``, ``evaluation/``
     Curves, an example of each epoch, unreadable samples, and results.
 """
@@ -25,11 +27,13 @@ import torch
 from safetensors.torch import load_file
 
 from slicemask import PoseGrid
+from slicemask.files import write_text
 from slicemask.geometry.frustum import Projection
 from slicematch.data.elevations import image_elevations
 from slicematch.errors import RunError
 from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
+from slicematch.network.stages import Stages
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.recipes import find_recipe
 from slicematch.runs.settings import read_settings
@@ -99,6 +103,11 @@ class RunFolder:
     def calibration_file(self) -> Path:
         """The temperature, and how it was fitted."""
         return self.path / "calibration.json"
+
+    @property
+    def stages_file(self) -> Path:
+        """The stages of its encoders."""
+        return self.path / "stages.json"
 
     @property
     def packed_weights(self) -> Path:
@@ -182,6 +191,19 @@ class RunFolder:
             ) from error
         return FittedTemperature(temperature, grid, checkpoint)
 
+    def save_stages(self, model: SliceMatch) -> None:
+        """Keep what the encoders of a model give."""
+        content = [stages.to_dict() for stages in model.stages]
+        write_text(self.stages_file, json.dumps(content) + "\n", RunError)
+
+    def load_stages(self) -> tuple[Stages, Stages] | None:
+        """What its encoders give, if that was kept; what cannot be read is found out again."""
+        try:
+            ground, aerial = json.loads(self.stages_file.read_text("utf-8"))
+            return Stages.from_dict(ground), Stages.from_dict(aerial)
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return None
+
     def load_model(self, which: Checkpoint = "best") -> tuple[TrainConfig, SliceMatch]:
         """The run's settings and its model with trained weights, on the CPU, set to evaluate.
 
@@ -194,7 +216,13 @@ class RunFolder:
         config = self.load_config()
         path = self.checkpoint(which)
         content = read_checkpoint(path)
-        model = build_model(config, weights="none")
+        try:
+            model = build_model(config, "none", self.load_stages())
+        except (IndexError, AssertionError) as error:  # timm's, of stages that a backbone lacks
+            raise RunError(
+                f"{self.stages_file}: holds stages that encoder {config.encoder!r} does not have; "
+                "remove the file, and they are found again"
+            ) from error
         load_weights(model, content, path)
         return config, model.eval()
 
@@ -256,8 +284,15 @@ def plan_run(
     return TrainConfig.from_dict(asked), folder
 
 
-def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
-    """The model that the settings describe; `weights` replaces what its encoders start from."""
+def build_model(
+    config: TrainConfig,
+    weights: str | None = None,
+    known: tuple[Stages, Stages] | None = None,
+) -> SliceMatch:
+    """The model that the settings describe.
+
+    ``weights`` replaces what its encoders start from; ``known`` is what they give, if it is known.
+    """
     return SliceMatch(
         encoder=config.encoder,
         weights=config.weights if weights is None else weights,
@@ -269,6 +304,7 @@ def build_model(config: TrainConfig, weights: str | None = None) -> SliceMatch:
         slices=config.slices,
         cross_view_attention=config.cross_view_attention,
         bands=_range_bands(config),
+        known=known,
     )
 
 

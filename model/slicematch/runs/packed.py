@@ -1,6 +1,6 @@
 """A packed run: what answering takes, small enough to hand on, or to come with the package.
 
-``config.yaml``, ``calibration.json``
+``config.yaml``, ``calibration.json``, ``stages.json``
     The run's own.
 ``weights.safetensors``
     The weights of one checkpoint, floating-point ones in half precision. They count as the best.
@@ -74,6 +74,7 @@ def pack(
     with atomic_write(target.packed_weights, RunError) as partial:
         partial.write_bytes(save(weights))
     _without_paths(config).save(target.config_file)
+    target.save_stages(model)
     if fitted is not None and fitted.checkpoint == checkpoint:
         text = source.calibration_file.read_text("utf-8").replace('"last"', '"best"')
         write_text(target.calibration_file, text, RunError)

@@ -52,17 +52,17 @@ class Candidates:
     @classmethod
     def from_bank(cls, bank: Bank, device: torch.device | str = "cpu") -> "Candidates":
         """All poses of a bank (`slicemask.open_bank`)."""
-        csr, poses = bank.csr(), np.asarray(bank.poses)
+        (data, indices, indptr), poses = bank.csr_arrays(), np.asarray(bank.poses)
         # 32-bit indices: half the memory, and faster products, where the count allows them.
         # A little less than they reach, for loops that step past the end.
-        integer = np.int32 if csr.nnz < 2**31 - 2**10 else np.int64
+        integer = np.int32 if len(data) < 2**31 - 2**10 else np.int64
         grid, index = bank.spec.grid, np.asarray(bank.index).astype(integer, copy=False)
         starts, cells, fractions = (
             torch.from_numpy(np.ascontiguousarray(part))
             for part in (
-                csr.indptr.astype(integer, copy=False),
-                csr.indices.astype(integer, copy=False),
-                csr.data,
+                indptr.astype(integer, copy=False),
+                indices.astype(integer, copy=False),
+                data,
             )
         )
         return cls(

@@ -144,6 +144,7 @@ def train(
     if is_first_process(config):
         run.path.mkdir(parents=True, exist_ok=True)
         config.save(run.config_file)
+        run.save_stages(model)
         if config.weights_source is not None and not resuming:
             log.info("the encoders start from the weights %s", config.weights_source)
         _warn_of_places_outside(config, datasets)
@@ -250,7 +251,7 @@ def _with_facts_of_the_data(
 def _check_batches(config: TrainConfig, model: SliceMatch, samples: int) -> None:
     """Refuse a batch that is too small for the encoders, which would end the first epoch."""
     encoders = model.ground_encoder, model.aerial_encoder
-    needed = max(encoder.smallest_batch for encoder in encoders)
+    needed = max(encoder.stages.smallest_batch for encoder in encoders)
     each = -(-samples // world_size(config))  # the last ones are repeated
     smallest = min(config.batch_size, each % config.batch_size or config.batch_size)
     if smallest < needed:

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import maximum_filter
 from slicematch.errors import ConfigError, RunError
 from slicematch.localization.modes import (
     MODES,
+    _highest_around,
     find_modes,
     grid_steps,
     non_maximum_suppression,
@@ -28,6 +30,15 @@ from slicemask import Frustum, PoseGrid
 FLOOR = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "refined_floor.py"))
 GRID = PoseGrid.parse("21x21x64")
 STEPS = np.array([1 / 21, 1 / 21, 5.625])
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 5, 2), (4, 1, 3), (6, 7, 1), (9, 8, 16)])
+def test_peaks_are_those_of_a_maximum_filter(shape):
+    rng = np.random.default_rng(sum(shape))
+    scores = rng.integers(0, 6, shape).astype(np.float32)
+    scores[rng.random(shape) < 0.2] = -np.inf
+    highest = maximum_filter(scores, 3, mode=("constant", "constant", "wrap"), cval=-np.inf)
+    assert np.array_equal(_highest_around(scores), highest)
 
 
 def bump(truth, width=(0.05, 0.05, 10.0), other=None):

@@ -68,7 +68,7 @@ def test_encoders_that_cannot_be(settings, said):
 def test_images_of_one_cell(name, smallest_batch):
     encoder = Encoder(name, (16, 16), stride=16, weights="none")
     assert encoder.feature_size == (1, 1)
-    assert encoder.smallest_batch == smallest_batch
+    assert encoder.stages.smallest_batch == smallest_batch
     with torch.no_grad():
         assert encoder.eval()(torch.zeros(1, 3, 16, 16)).shape[2:] == (1, 1)
         assert encoder.train()(torch.zeros(smallest_batch, 3, 16, 16)).shape[2:] == (1, 1)

@@ -79,7 +79,7 @@ def test_a_packed_run_answers_as_the_run_does(run, packed, config, cache):
     assert small[1].calibrated == whole[1].calibrated
     assert small[1].tile_side_m == whole[1].tile_side_m
     files = {path.name for path in packed.iterdir()}
-    assert files == {"config.yaml", "weights.safetensors", "calibration.json"}
+    assert files == {"config.yaml", "weights.safetensors", "calibration.json", "stages.json"}
     assert str(config.root) not in (packed / "config.yaml").read_text()
 
 

@@ -25,7 +25,8 @@ def localizer(tmp_path_factory):
 def test_it_is_small_and_complete():
     assert RUN in shipped_runs()
     names = {path.name for path in find_run(RUN).iterdir()}
-    parts = {"README.md", "calibration.json", "config.yaml", "examples", "weights.safetensors"}
+    parts = {"README.md", "calibration.json", "config.yaml", "examples", "stages.json"}
+    parts |= {"weights.safetensors"}
     assert names == parts
     assert sum(path.stat().st_size for path in find_run(RUN).rglob("*")) < 10e6
     config = RunFolder(find_run(RUN)).load_config()
