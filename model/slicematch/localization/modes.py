@@ -61,10 +61,32 @@ def within_reach(
     -------
     within : bool [K]
     """
+    near, turned = _reach(pose, poses[:, :2], poses[:, 2], grid, side)
+    return near & turned
+
+
+def candidates_within_reach(pose: NDArray[np.float64], grid: PoseGrid) -> NDArray[np.bool]:
+    """Which candidates of a grid are one answer with a pose: `within_reach` of all its poses, [K].
+
+    Places and headings are looked at by themselves, which is many times as fast.
+    """
+    places = np.stack(np.broadcast_arrays(grid.u, grid.v[:, None]), axis=-1).reshape(-1, 2)
+    near, turned = _reach(pose, places, grid.headings_deg, grid, 1.0)
+    return np.logical_and(near[:, None], turned).ravel()
+
+
+def _reach(
+    pose: NDArray[np.float64],
+    places: NDArray[np.float64],
+    headings_deg: NDArray[np.float64],
+    grid: PoseGrid,
+    side: float,
+) -> tuple[NDArray[np.bool], NDArray[np.bool]]:
+    """Which places [p, 2], and which headings [h], are within reach of a pose."""
     step_u, step_v, step_deg = grid_steps(grid)
     reach, reach_deg = max(REACH * side, 1.5 * max(step_u, step_v)), max(REACH_DEG, 1.5 * step_deg)
-    near = np.hypot(*(poses[:, :2] - pose[:2]).T) <= reach
-    return near & (np.abs(angle_difference_deg(poses[:, 2], pose[2])) <= reach_deg)
+    near = np.hypot(*(places - pose[:2]).T) <= reach
+    return near, np.abs(angle_difference_deg(headings_deg, pose[2])) <= reach_deg
 
 
 def grid_steps(grid: PoseGrid) -> tuple[float, float, float]:

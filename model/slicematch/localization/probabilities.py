@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slicemask import PoseGrid
 from slicematch.angles import angle_difference_deg
-from slicematch.localization.modes import grid_steps, within_reach
+from slicematch.localization.modes import candidates_within_reach, grid_steps
 
 # The share of probability that a region of places or an ellipse is to hold.
 CONFIDENCE = 0.95
@@ -78,10 +78,10 @@ def mode_probabilities(
     probabilities : float64 [m]
         Together at most 1; what is missing lies near none of the modes.
     """
-    poses, left = grid.poses(), probabilities.ravel().copy()
+    left = probabilities.ravel().copy()
     found = np.empty(len(modes))
     for m, mode in enumerate(modes):
-        around = within_reach(mode, poses, grid)
+        around = candidates_within_reach(mode, grid)
         found[m] = left[around].sum()
         left[around] = 0.0
     return found
@@ -110,7 +110,7 @@ def mean_poses(
     """
     poses, found = grid.poses(), np.empty_like(modes)
     for m, mode in enumerate(modes):
-        around = within_reach(mode, poses, grid)
+        around = candidates_within_reach(mode, grid)
         weights = probabilities.ravel()[around]
         if not weights.sum() > 0:  # far less likely than the best mode
             found[m] = mode

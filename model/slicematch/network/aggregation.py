@@ -194,4 +194,4 @@ def unit(vectors: Tensor) -> Tensor:
     # A half-precision square overflows for a length of 256, and a bfloat16 one has three digits.
     exact = vectors.to(torch.promote_types(vectors.dtype, torch.float32))
     squared = exact.square().sum(dim=-1, keepdim=True)
-    return (exact * (squared + EPSILON).rsqrt() * (squared > 0)).to(vectors.dtype)
+    return (exact * ((squared + EPSILON).rsqrt() * (squared > 0))).to(vectors.dtype)

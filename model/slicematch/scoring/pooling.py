@@ -25,7 +25,7 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 from torch.utils.checkpoint import checkpoint
 
-from slicematch.network.aggregation import EPSILON, unit
+from slicematch.network.aggregation import EPSILON
 from slicematch.scoring.plan import PoolingPlan, SharedPlan, plan_pooling, take_rows
 
 log = logging.getLogger(__name__)
@@ -128,17 +128,16 @@ def pool_shared(
         low, high = int(bounds[0]), int(bounds[-1])
         part = (bounds[:-1] - bounds[0], cells[low:high], fractions[low:high])
         blocks.append(call(_pool_once, *part, attended, ground))
-    return torch.cat(blocks).flatten(0, 1)
+    return torch.cat(blocks)
 
 
 def _pool_once(
     starts: Tensor, cells: Tensor, fractions: Tensor, attended: Tensor, ground: Tensor
 ) -> Tensor:
-    """Contributions of CSR rows [R] with every slice number: [R, N, 2]."""
-    descriptors = unit(_weighted_sums(attended, cells, starts, fractions))  # d_a, [R, C]
-    present = (descriptors.detach() != 0).any(dim=1)[:, None]
-    dots = descriptors @ ground.T
-    return torch.stack([dots, present.to(dots.dtype).expand_as(dots)], dim=-1)
+    """Contributions of CSR rows [R] with every slice number: [R * N, 2]."""
+    sums = _weighted_sums(attended, cells, starts, fractions)  # [R, C]
+    lengths = torch.linalg.vector_norm(sums, dim=-1, keepdim=True)
+    return _contributions(sums @ ground.T, lengths)
 
 
 def _has_kernel(features: Tensor, slices: int) -> bool:

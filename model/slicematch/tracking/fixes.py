@@ -1,8 +1,9 @@
 """Satellite fixes along a drive: weak evidence of the place, for their errors last for seconds.
 
 Beside buildings a reflected signal sets all fixes of half a minute off to the same side. So fixes
-do not average: each one counts as the share that its time since the last one has of `LASTS_S`, and
-none of them rules a place out.
+do not average: each one counts as the share that its time since the last one has of `LASTS_S`. Nor
+does a receiver know how far off it is: errors are taken to have the heavy tail of Student's t
+distribution, and none of them rules a place out.
 """
 
 import math
@@ -18,8 +19,10 @@ LASTS_S = 20.0
 # Of a fix that does not say how accurate it is, metres; and what none is better than, for maps lie
 # off, too.
 ACCURACY_M, LEAST_M = 20.0, 2.0
-# The share of fixes that are far off, whatever they say of themselves.
-WRONG = 0.01
+# Degrees of freedom: of 100 fixes 6 are off by 4 of their deviations or more, and 1 by 8.
+FREEDOM = 3.0
+# How likely a place is at least: receivers also hold on to a place where they are not any more.
+WRONG = 1e-4
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class PlacedFix:
 
     def likelihood(self, places: Floats) -> Floats:
         """How likely places [P, 2] (east_m, north_m) are by it, against the fix's own: [P]."""
-        return (1.0 - WRONG) * self._bell(places) + WRONG
+        return (1.0 - WRONG) * self._density(places) + WRONG
 
     def share_after(self, before_s: float) -> float:
         """What it counts as, where the last one that counted was at that time."""
@@ -57,14 +60,18 @@ class PlacedFix:
 
         What is missing to 1 lies elsewhere.
         """
-        shares = self._bell(places) * area_m2 / (2.0 * math.pi * self.deviation_m**2)
+        shares = self._density(places) * area_m2 / (2.0 * math.pi * self.deviation_m**2)
         shares /= max(1.0, float(shares.sum()))
         return (1.0 - WRONG) * shares + WRONG / len(places)
 
-    def _bell(self, places: Floats) -> Floats:
-        """The normal distribution about the fix at places [P, 2], 1 at its top."""
+    def _density(self, places: Floats) -> Floats:
+        """Student's t distribution in two dimensions at places [P, 2], 1 at its top.
+
+        Lange, Little, Taylor, *Robust Statistical Modeling Using the t Distribution*, JASA 1989.
+        """
         away_m = np.hypot(places[:, 0] - self.east_m, places[:, 1] - self.north_m)
-        return np.asarray(np.exp(-0.5 * (away_m / self.deviation_m) ** 2))
+        squared = (away_m / self.deviation_m) ** 2
+        return np.asarray((1.0 + squared / FREEDOM) ** -((FREEDOM + 2.0) / 2.0))
 
 
 def deviation_of(accuracy_m: float | None) -> float:

@@ -14,7 +14,7 @@ from slicematch.runs.config import TrainConfig
 from slicematch.tracking.drive import Frame, frame_image, mean_odometry
 
 # Fields of an oxts line: latitude, longitude and yaw; speed forward; yaw rate; position accuracy.
-LAT, LON, YAW, FORWARD, YAW_RATE, ACCURACY = 0, 1, 5, 8, 19, 23
+LAT, LON, YAW, FORWARD, YAW_RATE = 0, 1, 5, 8, 19
 FIELDS = 30
 RATE_HZ = 10.0  # where a drive has no times
 
@@ -57,7 +57,8 @@ class KittiDrive:
                 time_s,
                 picture,
                 mean_odometry(before or said, said),
-                None if before else Fix(fields[LAT], fields[LON], fields[ACCURACY]),
+                # It is the truth: of no more use than where a drive begins, about.
+                None if before else Fix(fields[LAT], fields[LON]),
                 (fields[LAT], fields[LON], heading_deg),
                 note,
             )

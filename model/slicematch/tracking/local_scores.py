@@ -122,7 +122,7 @@ class LocalScorer:
         self._recent: list[PlaceDescriptors] = []  # the last one that was used is the last
 
     def describe(self, tile: AerialTile) -> ScoredTile:
-        """What a tile shows: all of the coarse candidates, of the fine ones what is asked for."""
+        """What a tile shows at candidates, which is computed once they are asked for."""
         model = self.localizer.model
         if model.aerial_attention.cross_view:
             return ScoredTile(tile, None, None)
@@ -131,7 +131,6 @@ class LocalScorer:
             fine, coarse = (
                 places.describe(tile.features, attention) for places in (self.fine, self.coarse)
             )
-            coarse.learn(_every(COARSE_GRID[0] * COARSE_GRID[1]))
         return ScoredTile(tile, fine, coarse)
 
     def whole(self, ground: Tensor, tile: ScoredTile) -> Volume:

@@ -205,7 +205,7 @@ class PlaceDescriptors:
             counts = self.candidates.counts(band, new)
             self._first[band, at] = self._kept[band] + torch.cumsum(counts, 0) - counts
             self._keep(band, learned)
-            present = (learned != 0).any(dim=1).float()
+            present = (torch.linalg.vector_norm(learned, dim=1) > 0).float()
             counted = present[slot // self.candidates.slices].sum(dim=1)
             self._present[at] += counted.view(len(new), -1)
         self._known[new] = True

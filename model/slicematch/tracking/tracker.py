@@ -39,8 +39,8 @@ MOST_ELSEWHERE = 0.99
 LONGEST_GAP_S = 10.0
 # Particles' spread around a mean that scores are needed for, in standard deviations.
 DEVIATIONS = 2.5
-# How many hypotheses a frame weighs: the likeliest, and of the others those that waited longest.
-WEIGHED_AT_ONCE = 3
+# How many hypotheses a frame weighs beside the likeliest one: those that waited longest.
+OTHERS, OTHERS_IN_DOUBT = 1, 2
 # A cloud wider than this, in shares of the tile's side, is scored by coarse candidates.
 WIDE_SHARE = 1 / 10
 
@@ -162,8 +162,7 @@ class Tracker:
         note : str
             Why there is no image, for the estimate's notes.
         fix : Fix, optional
-            Of a satellite receiver at this time, as weak evidence (`slicematch.tracking.fixes`); at
-            the first step it says nothing, for the drive's start says where it begins.
+            Of a satellite receiver at this time, as weak evidence (`slicematch.tracking.fixes`).
 
         Returns
         -------
@@ -177,7 +176,7 @@ class Tracker:
         self.time_s += dt_s
         if not first and dt_s > 0:
             self._predict(odometry, dt_s)
-        if fix is not None and not first:
+        if fix is not None:
             self._weigh_by_fix(fix)
         seen = self._look(image)
         self.hypotheses = normalised(merged(self.hypotheses))
@@ -229,7 +228,7 @@ class Tracker:
         placed = PlacedFix(
             *self.tiles.metres(fix.lat, fix.lon), deviation_of(fix.accuracy_m), self.time_s
         )
-        share = placed.share_after(self._fix.time_s if self._fix else 0.0)
+        share = placed.share_after(self._fix.time_s) if self._fix else 1.0
         self._fix = placed
         weighed = []
         for one in self.hypotheses:
@@ -237,8 +236,9 @@ class Tracker:
             after, evidence = one.weighed(share * np.log(likely))
             weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
         self._since_fix_m, self._fix_share = 0.0, self._fix_share + share
-        self._fix_evidence *= sum(one.probability for one in weighed)
-        self.hypotheses = normalised(weighed)
+        if weighed:
+            self._fix_evidence *= sum(one.probability for one in weighed)
+            self.hypotheses = normalised(weighed)
 
     def _look(self, image: Picture | None) -> bool:
         """Weigh the belief by an image; whether there was one."""
@@ -258,8 +258,8 @@ class Tracker:
         self.hypotheses = [
             replace(one, waiting=min(1.0, one.waiting + share)) for one in self.hypotheses
         ]
-        turn = sorted(self.hypotheses[1:], key=lambda one: -one.waiting)[: WEIGHED_AT_ONCE - 1]
-        turn.insert(0, self.hypotheses[0])
+        turn = sorted(self.hypotheses[1:], key=lambda one: -one.waiting)
+        turn = [self.hypotheses[0], *turn[: OTHERS_IN_DOUBT if self._in_doubt else OTHERS]]
         scores = [self._scores(ground, one) for one in turn]
         best = max((float(some.max()) for some in scores if some is not None), default=0.0)
         if any(some is None for some in scores):
@@ -298,7 +298,9 @@ class Tracker:
     def _begin(self, ground: Tensor | None) -> None:
         """The first belief: what the first image says within what is known of the place."""
         settings = self.settings
-        search = None if ground is None else self.elsewhere.search(ground, [], None, 0.0)
+        search, fix = None, self._fix
+        if ground is not None:
+            search = self.elsewhere.search(ground, [], fix, self._fix_share)
         if search is not None:
             likely = self._in_tile(search.scores, search.scores)
             self.hypotheses = search.hypotheses(likely, 1.0, settings.other_particles)
@@ -307,8 +309,14 @@ class Tracker:
             lacks = "first image" if ground is None else "map at the start"
             self._say(f"there is no {lacks}, so that the belief is what was known before")
         if not self.hypotheses:
-            self.hypotheses = [self.elsewhere.blind(4 * settings.particles)]
+            blind, evidence = self.elsewhere.blind(4 * settings.particles), 0.0
+            if fix is not None:
+                likely = fix.likelihood(blind.states[:, :2])
+                blind, evidence = blind.weighed(self._fix_share * np.log(likely))
+            self.hypotheses, self._fix_evidence = [blind], math.exp(evidence)
             self.elsewhere.probability = START_ELSEWHERE
+        if search is not None:
+            self._fix_evidence, self._fix_share = 1.0, 0.0
 
     def _search(self, ground: Tensor, belief: list[tuple[Floats, Floats]]) -> None:
         """Search the whole tile; by Bayes' rule, how likely it is that the camera is elsewhere.
@@ -336,9 +344,12 @@ class Tracker:
             ]
             self.hypotheses = normalised(known + found)
             self._unsearched_m, self._fix_evidence, self._fix_share = 0.0, 1.0, 0.0
-        doubt = self.hypotheses[0].probability * (1.0 - elsewhere.probability) < CERTAIN
-        pause_s = settings.doubt_search_s if doubt else settings.search_s
+        pause_s = settings.doubt_search_s if self._in_doubt else settings.search_s
         self._search_due_s = self.time_s + pause_s
+
+    @property
+    def _in_doubt(self) -> bool:
+        return self.hypotheses[0].probability * (1.0 - self.elsewhere.probability) < CERTAIN
 
     def _likelihood(self, scores: Floats, most: float) -> Floats:
         """How likely places are by their scores, against the best one."""

@@ -36,6 +36,19 @@ def test_the_prior_of_a_fix_in_the_tile_is_there_and_of_one_far_away_is_nowhere(
     assert far.sum() == pytest.approx(WRONG, rel=0.01)
 
 
+def test_errors_have_a_heavy_tail():
+    """In two dimensions, by the integral of the density: (1 + k^2 / 3)^(-3/2) beyond k deviations."""
+    fix = PlacedFix(0.0, 0.0, 5.0, 0.0)
+    step = 0.5
+    side = np.arange(-200.0, 200.0, step) + step / 2
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    density = (fix.likelihood(places) - WRONG) / (1.0 - WRONG) * step**2 / (2.0 * np.pi * 25.0)
+    away = np.hypot(*places.T) / 5.0
+    for deviations in (2.0, 4.0, 8.0):
+        beyond = 1.0 - density[away <= deviations].sum()
+        assert beyond == pytest.approx((1.0 + deviations**2 / 3.0) ** -1.5, abs=2e-3)
+
+
 def test_fixes_do_not_average_while_their_error_lasts():
     def fix(time_s):
         return PlacedFix(0.0, 0.0, 5.0, time_s)

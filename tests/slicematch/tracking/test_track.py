@@ -179,9 +179,32 @@ def test_fixes_along_the_way_can_be_left_out(track, drive, mapped, tmp_path):
     fixed.write_text("\n".join(lines) + "\n")
     for out, arguments in (("with.tum", []), ("without.tum", ["--no-fixes"])):
         assert track(*arguments, drive=fixed, out=out).exit_code == 0
-    track(out="first.tum")  # its only fix is the first
+    track("--no-fixes", out="first.tum")  # its only fix is the first, where both begin
     assert (tmp_path / "without.tum").read_bytes() == (tmp_path / "first.tum").read_bytes()
     assert (tmp_path / "with.tum").read_bytes() != (tmp_path / "first.tum").read_bytes()
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_fix_with_the_first_frame_counts_in_full(seen, localizer, cache, mapped):
+    """Where the start says little, with an image and without one."""
+    opened = AerialMap.open(mapped.map)
+    place = places(mapped)[0]
+    start = PlaceOnGlobe(*place, 30.0)
+    north = Fix(*offset_position(place, 0.0, 15.0), 4.0)
+    image = np.zeros((128, 256, 3), np.uint8) if seen else None
+
+    def first(fix):
+        with Tracker(localizer, opened, start, settings=SETTINGS, cache=cache) as tracker:
+            tracker.step(image, fix=fix)
+            clouds = tracker.hypotheses
+            rest = tracker.elsewhere.probability
+            mean = sum(one.probability * one.mean()[1] for one in clouds)
+            return mean, rest, tracker.step(None, Odometry(0.0), 0.1).notes
+
+    with_it, without = first(north), first(None)
+    assert with_it[0] > without[0] + 5.0
+    assert 0.0 <= with_it[1] <= 1.0
+    assert with_it[2] == without[2]
 
 
 def test_settings_are_checked():
