@@ -37,7 +37,7 @@ def test_the_prior_of_a_fix_in_the_tile_is_there_and_of_one_far_away_is_nowhere(
 
 
 def test_errors_have_a_heavy_tail():
-    """In two dimensions, by the integral of the density: (1 + k^2 / 3)^(-3/2) beyond k deviations."""
+    """Beyond k deviations lie (1 + k^2 / 3)^(-3/2): the integral in two dimensions."""
     fix = PlacedFix(0.0, 0.0, 5.0, 0.0)
     step = 0.5
     side = np.arange(-200.0, 200.0, step) + step / 2
