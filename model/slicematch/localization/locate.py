@@ -17,6 +17,7 @@ from slicematch.data.errors import SampleError
 from slicematch.data.lattice import lattice_point, lattice_step
 from slicematch.data.loading import raise_lack_of_resources
 from slicematch.data.maps import AerialMap
+from slicematch.digits import digits
 from slicematch.errors import ConfigError, RunError
 from slicematch.localization.answers import ANSWER_COLUMNS, check_answers_target, write_answers
 from slicematch.localization.localizer import Localizer
@@ -156,8 +157,8 @@ class Located:
                 f"probability {content['probability_median']:.1%} at the median"
                 + ("" if self.calibrated else " (uncalibrated)")
                 + f", above one half for {content['probability_above_half']:,}; standard "
-                f"deviation {content['std_place_median_m']:.2g} m and "
-                f"{content['std_heading_median_deg']:.2g} degrees at the median"
+                f"deviation {digits(content['std_place_median_m'])} m and "
+                f"{digits(content['std_heading_median_deg'])} degrees at the median"
             )
         if content["padded_tiles"]:
             lines.append(

@@ -7,6 +7,7 @@ from typing import Any
 
 from slicemask.geometry.poses import check_poses
 from slicemask.images import Picture, read_aerial
+from slicematch.digits import digits
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
 from slicematch.localization.localizer import HeadingPrior, Localizer, PlacePrior
@@ -75,7 +76,7 @@ class Prediction:
         return (
             f"probability {best}"
             + ("" if self.calibrated else " (uncalibrated)")
-            + f", standard deviations {east:.2g} {unit} east, {north:.2g} {unit} north, "
+            + f", standard deviations {digits(east)} {unit} east, {digits(north)} {unit} north, "
             f"{heading:.1f} degrees" + (f"; other modes {', '.join(others)}" if others else "")
         )
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slicematch.digits import digits
 from slicematch.localization.geodesy import offset_m
 from slicematch.tracking.outputs import Track
 
@@ -77,7 +78,7 @@ class TrackErrors:
     def report(self) -> str:
         """A line of text."""
         turned = self.heading_median_deg
-        heading = "" if turned is None else f", {turned:.2g} degrees at the median"
+        heading = "" if turned is None else f", {digits(turned)} degrees at the median"
         return (
             f"off by {self.place_median_m:.2f} m at the median and less than {self.place_95_m:.2f} "
             f"m in 95 % of {self.frames:,} frames{heading}; in another street (over "

@@ -11,6 +11,7 @@ import numpy as np
 from slicemask.interrupts import CancelCheck, run_cancellable
 from slicematch.data.errors import DatasetError
 from slicematch.data.maps import AerialMap
+from slicematch.digits import digits
 from slicematch.errors import RunError
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.on_map import PlaceOnGlobe, tile_side
@@ -75,10 +76,10 @@ class Tracked:
     def report(self, most: int = 5) -> str:
         """The summary as a few lines of text."""
         content = self.summary()
+        seconds, deviation_m = content["seconds"], content["std_place_median_m"]
         lines = [
-            f"{content['frames']:,} frames in {content['seconds']:.4g} s, {content['sure']:,} of "
-            f"them sure of the place; standard deviation {content['std_place_median_m']:.2g} m at "
-            "the median"
+            f"{content['frames']:,} frames in {digits(seconds, 4)} s, {content['sure']:,} of them "
+            f"sure of the place; standard deviation {digits(deviation_m)} m at the median"
         ]
         if self.errors is not None:
             lines.append(self.errors.report())

@@ -13,6 +13,7 @@ from slicemask.errors import ImageError
 from slicemask.images import Picture
 from slicematch.data.maps import AerialMap
 from slicematch.data.positions import Fix
+from slicematch.digits import digits
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.on_map import PlaceOnGlobe, tile_side
 from slicematch.tracking.elsewhere import Elsewhere
@@ -200,7 +201,7 @@ class Tracker:
             self._say(f"the clock went on by {dt_s:g} s, so that no time is taken to have passed")
             return odometry, 0.0
         if dt_s > LONGEST_GAP_S:
-            self._say(f"nothing came for {dt_s:.4g} s")
+            self._say(f"nothing came for {digits(dt_s, 4)} s")
         return odometry, float(dt_s)
 
     def _predict(self, odometry: Odometry | None, dt_s: float) -> None:

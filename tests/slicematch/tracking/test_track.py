@@ -216,3 +216,47 @@ def test_settings_are_checked():
         for value in (0.0, 1.0, math.nan):
             with pytest.raises(ConfigError, match=f"{name} is .*; it must be between 0 and 1"):
                 TrackSettings(**{name: value})
+
+
+@pytest.mark.slow
+def test_a_kitti_raw_drive_is_tracked_from_its_oxts(cache, mapped, tmp_path):
+    """From the tree alone: frames as a table, a run of such cameras, the drive on a map."""
+    pytest.importorskip("trimesh")
+    rasterio = pytest.importorskip("rasterio")
+    from slicemask.synth import generate_kitti
+
+    root = tmp_path / "kitti"
+    generate_kitti(root, frames=12, seed=2, image_size=(124, 38), tile_size=512, jobs=1)
+    drive = max(root.glob("raw_data/*/*_sync"), key=lambda one: len(list(one.glob("oxts/data/*"))))
+    records = sorted(drive.glob("oxts/data/*"))
+    table = tmp_path / "table.csv"
+    (tmp_path / "train.yaml").write_text(
+        "encoder: test_resnet\nweights: none\nstride: 8\npyramid: 8\nground_size: [32, 96]\n"
+        "aerial_size: 64\nslices: 4\ntrain_grid: 3x3x4\ntest_grid: 4x4x8\nbatch_size: 2\n"
+        "epochs: 1\nworkers: 0\n"
+    )
+    lat, lon = np.array([np.loadtxt(path)[:2] for path in records]).T
+    around = lon.min() - 0.003, lat.min() - 0.002, lon.max() + 0.003, lat.max() + 0.002
+    pixels = np.random.default_rng(0).integers(0, 255, (3, 400, 400), np.uint8)
+    with rasterio.open(
+        tmp_path / "map.tif", "w", driver="GTiff", width=400, height=400, count=3, dtype="uint8",
+        crs="EPSG:4326", transform=rasterio.transform.from_bounds(*around, 400, 400),
+    ) as raster:  # fmt: skip
+        raster.write(pixels)
+
+    def slicemask(*arguments):
+        found = CliRunner().invoke(main, list(map(str, arguments)))
+        assert found.exit_code == 0, found.output
+        return found
+
+    slicemask("table", "from-kitti", root, "--out", table)
+    slicemask("train", "--config", tmp_path / "train.yaml", "--data", "table", "--root", table,
+              "--accelerator", "cpu", "--out", tmp_path / "run", "--cache", cache)  # fmt: skip
+    found = slicemask("track", tmp_path / "run", "--drive", drive, "--map", tmp_path / "map.tif",
+                      "--out", tmp_path / "track.txt", "--cache", cache, "--json")  # fmt: skip
+    content = json.loads(found.stdout)
+    poses = np.loadtxt(tmp_path / "track.txt")
+    assert len(poses) == content["frames"] == len(records)
+    assert content["seen"] == content["frames"]
+    assert np.isfinite(poses).all()
+    assert {"place_median_m", "inside_ellipse"} <= set(content["errors"])
