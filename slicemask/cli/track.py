@@ -38,8 +38,8 @@ _HEADING_DEG = 15.0
     "--within",
     "within_m",
     type=Length(),
-    help="How far from there, about.  [default: the fix's accuracy, at least 20 m; around --near "
-    "anywhere in the tile]",
+    help="How far from there, about.  [default: anywhere in the tile; with --no-fixes the first "
+    "one's accuracy, at least 20 m]",
 )
 @click.option("--heading", type=Heading(), help="At the start, such as 90+-15.  [default: any]")
 @click.option(

@@ -107,7 +107,8 @@ def banded_fractions(
     Returns
     -------
     fractions : array [B, len(bands) + 1, L, L]
-        As `sector_fractions` gives them, which is their sum over the bands.
+        As `sector_fractions` gives them, which is their sum over the bands; but NumPy's are cleaned
+        of noise (`slicemask.geometry.noise`), since most of them are empty.
     """
     xp = _namespace(u)
     if u.shape[0] == 0:

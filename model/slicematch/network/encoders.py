@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from slicematch import _torchvision  # noqa: F401  before timm: see there
 from slicematch.devices import autocast
-from slicematch.errors import WeightsError
+from slicematch.errors import ConfigError, WeightsError
 from slicematch.network.imagenet import (
     PACKAGES,
     hub_weights_source,
@@ -114,6 +114,8 @@ class Encoder(nn.Module):
         asked = name, image_size, stride, stride if pyramid is None else pyramid_to
         self.stages = known if known is not None and known.suit(*asked) else find_stages(*asked)
         self.backbone, self.weights_source = _create(name, self.stages.options, weights)
+        if self.stages is known and not known.are_of(self.backbone):
+            raise ConfigError(f"encoder {name!r} does not have the stages that are given for it")
         cut_unused(self.backbone)
         self.mean, self.std = encoder_normalisation(name)
         self.channels_last = gives_channels_last(self.backbone)

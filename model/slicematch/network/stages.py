@@ -68,13 +68,25 @@ class Stages:
         asked = name, tuple(image_size), stride, deepest, timm.__version__
         return asked == (self.name, self.image_size, self.stride, self.deepest, self.timm)
 
+    def are_of(self, backbone: Any) -> bool:
+        """Whether a backbone that was built from `options` says the same of itself."""
+        info = backbone.feature_info
+        channels = [shape[0] for shape in self.shapes]
+        return info.reduction()[0] == self.stride and info.channels() == channels
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for a file."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "Stages":
-        """From `to_dict`'s values, read back from JSON; ValueError or TypeError if they are not."""
+        """From `to_dict`'s values, read back from JSON.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If they are none.
+        """
         numbers = {"stride", "deepest", "smallest_batch"}
         lists = {
             "image_size": tuple(content["image_size"]),
@@ -88,10 +100,19 @@ class Stages:
             *found.indices,
             *(size for shape in found.shapes for size in shape),
         ]
-        if not all(type(number) is int and number >= 0 for number in whole):
-            raise ValueError(f"{whole} are not whole numbers")
+        if not all(type(number) is int and 0 <= number < 2**20 for number in whole):
+            raise ValueError(f"{whole} are not whole numbers of such a size")
         if not found.shapes or any(len(shape) != 3 for shape in found.shapes):
             raise ValueError(f"shapes are {found.shapes}")
+        in_order = sorted(set(found.indices)) == [*found.indices]
+        if not in_order or len(found.indices) != len(found.shapes):
+            raise ValueError(f"stages are {found.indices}")
+        if (type(found.name), type(found.sized), len(found.image_size)) != (str, bool, 2):
+            raise ValueError(f"{found.name}, {found.image_size} and {found.sized} are no question")
+        # However a backbone pads, a stride leaves about so much of an image.
+        for pixels, size in zip(found.image_size, found.shapes[0][1:], strict=True):
+            if size < 1 or abs(size * found.stride - pixels) >= 2 * found.stride:
+                raise ValueError(f"{size} steps of {found.stride} pixels are not {pixels}")
         return found
 
 

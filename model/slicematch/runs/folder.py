@@ -216,14 +216,15 @@ class RunFolder:
         config = self.load_config()
         path = self.checkpoint(which)
         content = read_checkpoint(path)
+        known = self.load_stages()
         try:
-            model = build_model(config, "none", self.load_stages())
-        except (IndexError, AssertionError) as error:  # timm's, of stages that a backbone lacks
-            raise RunError(
-                f"{self.stages_file}: holds stages that encoder {config.encoder!r} does not have; "
-                "remove the file, and they are found again"
-            ) from error
-        load_weights(model, content, path)
+            model = build_model(config, "none", known)
+            load_weights(model, content, path)
+        except Exception:  # timm's of stages that a backbone lacks, or ours of weights
+            if known is None:
+                raise
+            model = build_model(config, "none")
+            load_weights(model, content, path)
         return config, model.eval()
 
 

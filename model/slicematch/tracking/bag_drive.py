@@ -13,8 +13,9 @@ from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
 from slicematch.data.positions import Fix
 from slicematch.data.views import is_whole
+from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.runs.config import TrainConfig
-from slicematch.tracking.drive import Frame, mean_odometry
+from slicematch.tracking.drive import Frame, mean_odometry, start_at_first_fix
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _ODOMETRY, _IMU, _FIX = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
@@ -93,6 +94,10 @@ class BagDrive:
                         note,
                     )
                     speeds, turns, fix = [], {"odometry": [], "imu": []}, None
+
+    def start(self, fixes: bool) -> PlaceOnGlobe | None:
+        """At its first fix, if it has one."""
+        return start_at_first_fix(self, fixes)
 
 
 def open_drive(path: Path, config: TrainConfig, **topics: str | None) -> BagDrive:

@@ -2,7 +2,7 @@
 
 import importlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,8 +15,10 @@ from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
 from slicematch.data.positions import Fix
 from slicematch.data.views import View, cut_view
+from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.localization.photos import Photo
 from slicematch.runs.config import TrainConfig
+from slicematch.tracking.fixes import ACCURACY_M
 from slicematch.tracking.odometry import Odometry
 
 
@@ -49,11 +51,28 @@ class Frame:
 
 
 class Drive(Protocol):
-    """A recording: how many frames it has, and the frames in turn."""
+    """A recording: how many frames it has, the frames in turn, and where it begins."""
 
     def __len__(self) -> int: ...
 
     def __iter__(self) -> Iterator[Frame]: ...
+
+    def start(self, fixes: bool) -> PlaceOnGlobe | None:
+        """Where it begins, about, by the recording itself; None if that is not in it.
+
+        ``fixes`` is whether those of its frames are counted along the way: the place then says no
+        more than in which tile to begin, for the first fix is not to count twice.
+        """
+        ...
+
+
+def start_at_first_fix(frames: Iterable[Frame], fixes: bool) -> PlaceOnGlobe | None:
+    """`Drive.start` of a recording that begins at its first fix."""
+    fix = next((frame.fix for frame in frames if frame.fix is not None), None)
+    if fix is None:
+        return None
+    within_m = None if fixes else max(fix.accuracy_m or 0.0, ACCURACY_M)
+    return PlaceOnGlobe(fix.lat, fix.lon, within_m)
 
 
 def open_drive(path: str | Path, config: TrainConfig, **topics: Any) -> Drive:

@@ -219,7 +219,7 @@ class Elsewhere:
             (u - grid.u[0]) / (grid.u[1] - grid.u[0]),
             heading_deg % 360.0 / (360.0 / COARSE_GRID[2]),
         ]
-        return np.asarray(map_coordinates(likely, at, order=1, mode="constant"))
+        return np.asarray(map_coordinates(likely, at, order=1, mode="grid-constant"))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ LASTS_S = 20.0
 ACCURACY_M, LEAST_M = 20.0, 2.0
 # Degrees of freedom: of 100 fixes 6 are off by 4 of their deviations or more, and 1 by 8.
 FREEDOM = 3.0
-# How likely a place is at least: receivers also hold on to a place where they are not any more.
+# How likely a place is at least, against the likeliest one, and what all places of a tile hold at
+# least together: receivers also hold on to a place where they are not any more.
 WRONG = 1e-4
 
 
@@ -33,7 +34,8 @@ class PlacedFix:
     ----------
     east_m, north_m : float
     deviation_m : float
-        Of it, to the east and to the north.
+        Of it, to the east and to the north, as the receiver claims: the scale of the distribution,
+        within which three in five are to each side.
     time_s : float
         When it was.
     """
@@ -75,7 +77,7 @@ class PlacedFix:
 
 
 def deviation_of(accuracy_m: float | None) -> float:
-    """Standard deviation that a fix is taken to have, metres."""
+    """The deviation that a fix is taken to claim, metres."""
     if accuracy_m is None or not math.isfinite(accuracy_m) or accuracy_m <= 0:
         return ACCURACY_M
     return max(accuracy_m, LEAST_M)

@@ -8,10 +8,11 @@ import numpy as np
 
 from slicematch.data.cameras import Camera
 from slicematch.data.errors import DatasetError
-from slicematch.data.positions import Fix
 from slicematch.data.text import parse_number
+from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.runs.config import TrainConfig
 from slicematch.tracking.drive import Frame, frame_image, mean_odometry
+from slicematch.tracking.fixes import ACCURACY_M
 
 # Fields of an oxts line: latitude, longitude and yaw; speed forward; yaw rate; position accuracy.
 LAT, LON, YAW, FORWARD, YAW_RATE = 0, 1, 5, 8, 19
@@ -44,6 +45,11 @@ class KittiDrive:
     def __len__(self) -> int:
         return len(self.records)
 
+    def start(self, fixes: bool) -> PlaceOnGlobe:
+        """About where its first record is, which is the truth: as a fix of 20 m would say it."""
+        fields = _fields(self.records[0])
+        return PlaceOnGlobe(fields[LAT], fields[LON], ACCURACY_M)
+
     def __iter__(self) -> Iterator[Frame]:
         before: tuple[float, float] | None = None
         for path, time_s in zip(self.records, self.times_s, strict=True):
@@ -57,8 +63,7 @@ class KittiDrive:
                 time_s,
                 picture,
                 mean_odometry(before or said, said),
-                # It is the truth: of no more use than where a drive begins, about.
-                None if before else Fix(fields[LAT], fields[LON]),
+                None,  # its records are the truth
                 (fields[LAT], fields[LON], heading_deg),
                 note,
             )

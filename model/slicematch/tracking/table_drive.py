@@ -14,8 +14,9 @@ from slicematch.data.positions import Fix
 from slicematch.data.table_cameras import table_cameras
 from slicematch.data.text import parse_number
 from slicematch.data.views import is_whole
+from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.runs.config import TrainConfig
-from slicematch.tracking.drive import Frame, frame_image, mean_odometry
+from slicematch.tracking.drive import Frame, frame_image, mean_odometry, start_at_first_fix
 
 
 class TableDrive:
@@ -63,6 +64,10 @@ class TableDrive:
                 note,
             )
             before = said
+
+    def start(self, fixes: bool) -> PlaceOnGlobe | None:
+        """At its first fix, if it has one."""
+        return start_at_first_fix(self, fixes)
 
     def _fix(self, row: int) -> Fix | None:
         lat, lon, accuracy_m = (

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.runs.shipped import find_run
 from slicematch.tracking.drive import Drive, Frame, open_drive
 from slicematch.tracking.errors import TrackErrors
-from slicematch.tracking.fixes import ACCURACY_M
 from slicematch.tracking.outputs import Track, check_track_target, write_track
 from slicematch.tracking.smoothing import Step, smooth, smoothed_estimates
 from slicematch.tracking.track_estimate import TrackEstimate
@@ -129,8 +128,8 @@ def track(
     near : (lat, lon), optional
         Where it begins, about; by default the recording's first fix.
     within_m : float, optional
-        How far from there, as about two in three such places are; by default the fix's accuracy, at
-        least 20 m, or anywhere in the tile around `near`.
+        How far from there, as about two in three such places are; by default anywhere in the tile,
+        and without `fixes` the first one's accuracy, at least 20 m.
     heading : (centre, deviation), optional
         The heading at the start, degrees; by default unknown.
     fixes : bool
@@ -167,7 +166,7 @@ def track(
     tile_side(config, side_m)  # the likeliest slips, before anything is loaded
     opened = AerialMap.open(aerial_map, map_crs)
     recording = open_drive(drive, config, **(topics or {}))
-    start = _start(recording, drive, near, within_m)
+    start = _start(recording, drive, near, within_m, fixes)
     localizer = Localizer.load(
         run, grid="2x2x4", checkpoint=checkpoint, device=device, precision=precision, cache=cache
     )
@@ -230,17 +229,17 @@ def _start(
     path: str | Path,
     near: tuple[float, float] | None,
     within_m: float | None,
+    fixes: bool,
 ) -> PlaceOnGlobe:
     """Where a drive begins."""
     if near is not None:
         return PlaceOnGlobe(*near, within_m)
-    fix = next((frame.fix for frame in recording if frame.fix is not None), None)
-    if fix is None:
+    found = recording.start(fixes)
+    if found is None:
         raise DatasetError(
             f"{path}: holds no fix, so that nobody knows where it begins; say it (--near lat,lon)"
         )
-    accuracy_m = max(fix.accuracy_m or 0.0, ACCURACY_M) if within_m is None else within_m
-    return PlaceOnGlobe(fix.lat, fix.lon, accuracy_m)
+    return found if within_m is None else replace(found, within_m=within_m)
 
 
 def _follow(

@@ -241,6 +241,16 @@ class Tracker:
             self._fix_evidence *= sum(one.probability for one in weighed)
             self.hypotheses = normalised(weighed)
 
+    def _fresh_fix(self) -> PlacedFix | None:
+        """The last fix, if it is news since the last search or the camera has hardly moved since.
+
+        Odometry knows better where a camera has gone than that it is not where a fix once was.
+        """
+        if self._fix is None:
+            return None
+        fresh = self._fix_share > 0.0 or self._since_fix_m <= self._fix.deviation_m
+        return self._fix.after(self._since_fix_m) if fresh else None
+
     def _look(self, image: Picture | None) -> bool:
         """Weigh the belief by an image; whether there was one."""
         ground = None
@@ -326,7 +336,7 @@ class Tracker:
         the particles before the image.
         """
         settings, elsewhere = self.settings, self.elsewhere
-        fix = self._fix and self._fix.after(self._since_fix_m)
+        fix = self._fresh_fix()
         search = elsewhere.search(ground, self.hypotheses, fix, min(1.0, self._fix_share))
         if search is not None:
             share = min(1.0, max(self._unsearched_m / settings.same_sight_m, settings.standing))

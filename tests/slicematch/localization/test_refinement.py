@@ -11,6 +11,7 @@ from slicematch.errors import ConfigError, RunError
 from slicematch.localization.modes import (
     MODES,
     _highest_around,
+    candidates_within_reach,
     find_modes,
     grid_steps,
     non_maximum_suppression,
@@ -39,6 +40,16 @@ def test_peaks_are_those_of_a_maximum_filter(shape):
     scores[rng.random(shape) < 0.2] = -np.inf
     highest = maximum_filter(scores, 3, mode=("constant", "constant", "wrap"), cval=-np.inf)
     assert np.array_equal(_highest_around(scores), highest)
+
+
+@pytest.mark.parametrize("name", ["21x21x64", "3x5x8", "1x1x7"])
+def test_candidates_within_reach_are_those_among_all_poses(name):
+    grid = PoseGrid.parse(name)
+    poses = grid.poses()
+    for pose in np.add(poses[:: max(1, len(poses) // 25)], [0.001, -0.002, 1.0]):
+        expected = within_reach(pose, poses, grid)
+        assert expected.any()
+        assert np.array_equal(candidates_within_reach(pose, grid), expected)
 
 
 def bump(truth, width=(0.05, 0.05, 10.0), other=None):

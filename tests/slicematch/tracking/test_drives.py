@@ -79,8 +79,10 @@ def test_a_kitti_drive_has_its_speeds(tmp_path):
     assert len(frames) >= 4
     assert frames[1].time_s == pytest.approx(0.4)
     # Its records are the truth, of which a track may know where the drive begins, about.
-    assert frames[0].fix.accuracy_m is None
-    assert all(frame.fix is None for frame in frames[1:])
+    drive = open_drive(folder, CAMERAS)
+    assert all(frame.fix is None for frame in frames)
+    assert drive.start(True) == drive.start(False)
+    assert drive.start(True).within_m == 20.0
     for before, frame in pairwise(frames):
         assert 8 < frame.odometry.speed_mps < 12  # frames are 4 m and 0.4 s apart
         turned = (frame.truth[2] - before.truth[2] + 180) % 360 - 180

@@ -13,6 +13,8 @@ from slicematch.data.positions import Fix
 from slicematch.errors import ConfigError
 from slicematch.localization.geodesy import offset_position
 from slicematch.localization.on_map import PlaceOnGlobe
+from slicematch.tracking.drive import open_drive
+from slicematch.tracking.elsewhere import Elsewhere
 from slicematch.tracking.odometry import Odometry
 from slicematch.tracking.track_settings import TrackSettings
 from slicematch.tracking.tracker import Tracker
@@ -196,15 +198,44 @@ def test_a_fix_with_the_first_frame_counts_in_full(seen, localizer, cache, mappe
     def first(fix):
         with Tracker(localizer, opened, start, settings=SETTINGS, cache=cache) as tracker:
             tracker.step(image, fix=fix)
-            clouds = tracker.hypotheses
-            rest = tracker.elsewhere.probability
-            mean = sum(one.probability * one.mean()[1] for one in clouds)
-            return mean, rest, tracker.step(None, Odometry(0.0), 0.1).notes
+            mean = sum(one.probability * one.mean()[1] for one in tracker.hypotheses)
+            return mean, tracker.step(None, Odometry(0.0), 0.1).notes
 
     with_it, without = first(north), first(None)
     assert with_it[0] > without[0] + 5.0
-    assert 0.0 <= with_it[1] <= 1.0
-    assert with_it[2] == without[2]
+    assert with_it[1] == without[1]
+
+
+def test_a_fix_of_long_ago_says_nothing_of_where_to_search(localizer, cache, mapped, monkeypatch):
+    """A drive whose fixes end is searched like one that never had any."""
+    asked = []
+    search = Elsewhere.search
+
+    def listening(self, ground, hypotheses, fix, fix_share):
+        asked.append(fix)
+        return search(self, ground, hypotheses, fix, fix_share)
+
+    monkeypatch.setattr(Elsewhere, "search", listening)
+    opened, place = AerialMap.open(mapped.map), places(mapped)[0]
+    image = np.zeros((128, 256, 3), np.uint8)
+    with Tracker(
+        localizer, opened, PlaceOnGlobe(*place, 30.0), settings=SETTINGS, cache=cache
+    ) as tracker:
+        tracker.step(image, fix=Fix(*place, 4.0))
+        assert asked[0].deviation_m == pytest.approx(4.0)
+        for _ in range(4):
+            tracker.step(image, Odometry(SPEED_MPS), 1.0)
+        assert len(asked) > 2
+        assert asked[-1] is None
+        tracker.step(image, Odometry(SPEED_MPS), 1.0, fix=Fix(*place, 4.0))
+        assert asked[-1] is not None
+
+
+@pytest.mark.parametrize("fixes", [True, False])
+def test_the_first_fix_does_not_count_twice(fixes, drive, localizer):
+    """As the start, and as evidence: where it is the latter, a drive begins anywhere around it."""
+    start = open_drive(drive, localizer.config).start(fixes)
+    assert start.within_m == (None if fixes else 20.0)
 
 
 def test_settings_are_checked():
