@@ -78,9 +78,9 @@ def predict(
         raise click.UsageError("--truth is drawn in the picture; it needs --out.")
     check_model_installed()
     with status_line("loading torch") as say:
-        from slicematch._deferred_compiler import defer_compiler
+        from slicematch._quick_start import start_quickly
 
-        defer_compiler()
+        start_quickly()
         from slicematch import predict
 
         prediction = predict(run, ground, aerial, progress=say, **given_options(options))
