@@ -15,6 +15,7 @@ from slicematch.localization.geodesy import offset_position
 from slicematch.localization.on_map import PlaceOnGlobe
 from slicematch.tracking.drive import open_drive
 from slicematch.tracking.elsewhere import Elsewhere
+from slicematch.tracking.hypotheses import Hypothesis
 from slicematch.tracking.odometry import Odometry
 from slicematch.tracking.track_settings import TrackSettings
 from slicematch.tracking.tracker import Tracker
@@ -204,6 +205,45 @@ def test_a_fix_with_the_first_frame_counts_in_full(seen, localizer, cache, mappe
     with_it, without = first(north), first(None)
     assert with_it[0] > without[0] + 5.0
     assert with_it[1] == without[1]
+
+
+@pytest.mark.parametrize(("here", "elsewhere_before"), [(0.5, 0.2), (0.9, 0.2), (0.1, 0.6)])
+def test_bayes_rule_says_how_likely_the_camera_is_elsewhere(
+    here, elsewhere_before, localizer, cache, mapped, monkeypatch
+):
+    """Three candidates and a cloud of two particles, by hand."""
+    start = PlaceOnGlobe(*places(mapped)[0], 20.0)
+    scores, prior = np.array([0.2, 0.5, 0.3]), np.array([0.5, 0.25, 0.25])
+    weights, of_cloud = np.array([0.75, 0.25]), np.array([here, 0.3])
+    said = []
+
+    class Searched:
+        fix_evidence = 1.0
+
+        def hypotheses(self, likelihood, probability, particles):
+            said.append(probability)
+            return []
+
+    searched = Searched()
+    searched.scores, searched.prior = scores, prior
+    with Tracker(localizer, AerialMap.open(mapped.map), start, cache=cache) as tracker:
+        settings, temperature = tracker.settings, tracker.temperature
+        tracker.hypotheses = [Hypothesis(np.zeros((2, 5)), weights, 1.0)]
+        tracker.elsewhere.probability = elsewhere_before
+        tracker._unsearched_m = 2 * settings.same_sight_m  # an image of its own
+        monkeypatch.setattr(tracker.elsewhere, "search", lambda *_: searched)
+        tracker._search(None, [(weights, of_cloud)])
+
+    def likelihood(score):
+        usual = np.mean(np.exp((scores - scores.max()) / temperature))
+        says = np.exp((score - scores.max()) / temperature) / usual
+        return 0.9 * says + 0.1  # one image in ten says nothing
+
+    away = elsewhere_before * sum(prior * likelihood(scores))
+    at_the_cloud = (1 - elsewhere_before) * sum(weights * likelihood(of_cloud))
+    expected = min(max(away / (away + at_the_cloud), 0.05), 0.99)
+    assert said == [pytest.approx(expected)]
+    assert tracker.hypotheses[0].probability == pytest.approx(1.0)  # of what is followed
 
 
 def test_a_fix_of_long_ago_says_nothing_of_where_to_search(localizer, cache, mapped, monkeypatch):
