@@ -5,6 +5,7 @@ that is less likely for a while is not lost to chance (Vermaak, Doucet, Perez, *
 Multi-Modality through Mixture Tracking*, ICCV 2003, equations 5 to 8).
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,8 @@ SAME_M, SAME_DEG = 3.0, 20.0
 # A hypothesis that is less likely is given up.
 LEAST_PROBABILITY = 1e-4
 MOST = 12  # hypotheses at a time
+# Width of the kernel that particles are set apart by, in deviations of the cloud.
+KERNEL = 0.1
 
 
 @dataclass(frozen=True)
@@ -68,14 +71,25 @@ class Hypothesis:
         return replace(self, weights=weights / total), most + np.log(total)
 
     def resampled(self, count: int, rng: np.random.Generator) -> "Hypothesis":
-        """So many particles of equal weight, drawn systematically.
+        """So many particles of equal weight, drawn systematically, and set apart a little.
 
-        One uniform number sets all: Kitagawa, *Monte Carlo Filter and Smoother*, JCGS 1996.
+        One uniform number draws all: Kitagawa, *Monte Carlo Filter and Smoother*, JCGS 1996. What
+        is unknown of the odometry hardly changes from frame to frame, so that copies of a few
+        particles would soon be all there is. So each is drawn towards the mean and moved by a
+        kernel, which keeps mean and variance: Liu and West, *Combined Parameter and State
+        Estimation in Simulation-Based Filtering*, 2001.
         """
         ends = np.cumsum(self.weights)
         at = (rng.random() + np.arange(count)) / count * ends[-1]
         drawn = np.minimum(np.searchsorted(ends, at), len(ends) - 1)
-        return replace(self, states=self.states[drawn], weights=np.full(count, 1.0 / count))
+        mean = np.concatenate([self.mean(), self.weights @ self.states[:, HEADING + 1 :]])
+        away = self.states - mean
+        away[:, HEADING] = angle_difference_deg(self.states[:, HEADING], mean[HEADING])
+        spread = np.sqrt(self.weights @ np.square(away))
+        moved = KERNEL * spread * rng.normal(size=(count, len(mean)))
+        states = mean + math.sqrt(1.0 - KERNEL**2) * away[drawn] + moved
+        states[:, HEADING] %= 360.0
+        return replace(self, states=states, weights=np.full(count, 1.0 / count))
 
     def effective(self) -> float:
         """How many particles of equal weight say as much (Kong, Liu, Wong 1994)."""
