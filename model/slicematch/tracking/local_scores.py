@@ -1,10 +1,10 @@
 """Scores around a belief: candidates that follow it, and scores of poses between them.
 
-The masks of a banded model cost some milliseconds a pose in closed form, too long for hundreds of
-particles ten times a second. So they are computed once, for candidates 0.75 m and 5.6 degrees apart
-in the middle of a tile (a bank, kept in the cache), of which each frame scores the few around the
-belief, every one or every second of them, as the belief is narrow or wide. Particles between
-candidates get a spline's value. A search scores coarse candidates of the whole tile.
+Masks and scores of a banded model cost some milliseconds a pose in closed form, too long for
+hundreds of particles ten times a second. So they are computed once, for candidates 0.75 m and 5.6
+degrees apart in the middle of a tile (a bank, kept in the cache), of which each frame scores the
+few around the belief, every one or every second of them, as the belief is narrow or wide. Particles
+between candidates get a spline's value. A search scores coarse candidates of the whole tile.
 """
 
 from dataclasses import dataclass
