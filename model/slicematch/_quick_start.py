@@ -1,10 +1,9 @@
 """Imports that a command which answers at once does without.
 
-Only in a process of the command's own: what is left out here, nobody else may miss.
+Only for a process that is nothing but the command: what is left out here, nobody else may miss.
 """
 
 import sys
-from pathlib import Path
 
 from slicematch._deferred_compiler import defer_compiler
 
@@ -15,8 +14,5 @@ def start_quickly() -> None:
     timm imports the client to fetch weights, and does without where there is none; a run has its
     own weights.
     """
-    if Path(sys.argv[0]).stem not in ("slicemask", "__main__", "cli"):
-        return
     defer_compiler()
-    if "huggingface_hub" not in sys.modules:
-        sys.modules["huggingface_hub"] = None  # type: ignore[assignment]
+    sys.modules.setdefault("huggingface_hub", None)  # type: ignore[arg-type]

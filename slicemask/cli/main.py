@@ -59,6 +59,13 @@ class _Group(click.Group):
     Their expected errors are one sentence and exit code 1.
     """
 
+    def main(self, args: Any = None, *more: Any, **extra: Any) -> Any:
+        """Run the command; its context's object is whether the process is nothing but it.
+
+        That is so where the arguments are the process's own; tests, for one, hand them over.
+        """
+        return super().main(args, *more, obj=args is None, **extra)
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
 

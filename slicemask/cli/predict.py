@@ -78,9 +78,10 @@ def predict(
         raise click.UsageError("--truth is drawn in the picture; it needs --out.")
     check_model_installed()
     with status_line("loading torch") as say:
-        from slicematch._quick_start import start_quickly
+        if click.get_current_context().find_root().obj:
+            from slicematch._quick_start import start_quickly
 
-        start_quickly()
+            start_quickly()
         from slicematch import predict
 
         prediction = predict(run, ground, aerial, progress=say, **given_options(options))

@@ -14,7 +14,7 @@ from slicematch.runs.config import TrainConfig
 from slicematch.tracking.drive import Frame, frame_image, mean_odometry
 from slicematch.tracking.fixes import ACCURACY_M
 
-# Fields of an oxts line: latitude, longitude and yaw; speed forward; yaw rate; position accuracy.
+# Fields of an oxts line: latitude, longitude and yaw; speed forward; yaw rate.
 LAT, LON, YAW, FORWARD, YAW_RATE = 0, 1, 5, 8, 19
 FIELDS = 30
 RATE_HZ = 10.0  # where a drive has no times

@@ -231,15 +231,19 @@ class Tracker:
         )
         share = placed.share_after(self._fix.time_s) if self._fix else 1.0
         self._fix = placed
+        self._since_fix_m, self._fix_share = 0.0, self._fix_share + share
+        if self.hypotheses:
+            self._count_fix(placed, share)
+
+    def _count_fix(self, fix: PlacedFix, share: float) -> None:
+        """Weigh the hypotheses by a fix that counts as such a share."""
         weighed = []
         for one in self.hypotheses:
-            likely = placed.likelihood(one.states[:, :2])
+            likely = fix.likelihood(one.states[:, :2])
             after, evidence = one.weighed(share * np.log(likely))
             weighed.append(replace(after, probability=one.probability * math.exp(evidence)))
-        self._since_fix_m, self._fix_share = 0.0, self._fix_share + share
-        if weighed:
-            self._fix_evidence *= sum(one.probability for one in weighed)
-            self.hypotheses = normalised(weighed)
+        self._fix_evidence *= sum(one.probability for one in weighed)
+        self.hypotheses = normalised(weighed)
 
     def _fresh_fix(self) -> PlacedFix | None:
         """The last fix, if it is news since the last search or the camera has hardly moved since.
@@ -320,12 +324,10 @@ class Tracker:
             lacks = "first image" if ground is None else "map at the start"
             self._say(f"there is no {lacks}, so that the belief is what was known before")
         if not self.hypotheses:
-            blind, evidence = self.elsewhere.blind(4 * settings.particles), 0.0
-            if fix is not None:
-                likely = fix.likelihood(blind.states[:, :2])
-                blind, evidence = blind.weighed(self._fix_share * np.log(likely))
-            self.hypotheses, self._fix_evidence = [blind], math.exp(evidence)
+            self.hypotheses = [self.elsewhere.blind(4 * settings.particles)]
             self.elsewhere.probability = START_ELSEWHERE
+            if fix is not None:
+                self._count_fix(fix, self._fix_share)
         if search is not None:
             self._fix_evidence, self._fix_share = 1.0, 0.0
 

@@ -250,8 +250,7 @@ def _with_facts_of_the_data(
 
 def _check_batches(config: TrainConfig, model: SliceMatch, samples: int) -> None:
     """Refuse a batch that is too small for the encoders, which would end the first epoch."""
-    encoders = model.ground_encoder, model.aerial_encoder
-    needed = max(encoder.stages.smallest_batch for encoder in encoders)
+    needed = max(stages.smallest_batch for stages in model.stages)
     each = -(-samples // world_size(config))  # the last ones are repeated
     smallest = min(config.batch_size, each % config.batch_size or config.batch_size)
     if smallest < needed:
