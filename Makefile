@@ -40,7 +40,7 @@ $(VENV)/.test: $(VENV)/.core
 # torch is asked for by its exact version alone, so that the pinned build is the one taken.
 $(VENV)/.full: $(VENV)/.core
 	$(PIP) "$$(grep '^torch==' constraints.txt)"
-	$(PIP) -e '.[model,weights,cameras,export,maps,drives,dask,synth,app,test,lint,bench]'
+	$(PIP) -e '.[model,weights,compiled,cameras,export,maps,drives,dask,synth,app,test,lint,bench]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.full
@@ -71,7 +71,7 @@ core: $(VENV)/.test
 # In an environment of its own; what only these packages need comes in the newest versions.
 lowest:
 	uv venv --quiet --python $(PYTHON) build/lowest
-	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,cameras,export,maps,drives,dask,synth,app,test]'
+	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,compiled,cameras,export,maps,drives,dask,synth,app,test]'
 	build/lowest/bin/python -m pytest -n auto -m "not slow"
 
 test: $(VENV)/.full
@@ -98,7 +98,7 @@ bench: $(VENV)/.full
 # What only builds of torch with CUDA need is left out: other builds do without.
 constraints:
 	$(PYTHON) -m venv --clear build/newest
-	build/newest/bin/python -m pip install --quiet -e '.[model,weights,cameras,export,maps,drives,rerun,dask,synth,app,test,docs,lint,bench]'
+	build/newest/bin/python -m pip install --quiet -e '.[model,weights,compiled,cameras,export,maps,drives,rerun,dask,synth,app,test,docs,lint,bench]'
 	build/newest/bin/python -m pip freeze --exclude-editable > build/newest.txt
 	(head -n 1 constraints.txt && sed 's/+[a-z0-9.]*$$//' build/newest.txt \
 		| grep -v -e '^nvidia' -e '^cuda') > build/constraints.txt

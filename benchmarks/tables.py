@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
+from unittest.mock import patch
 
 import numpy as np
 
@@ -113,6 +114,10 @@ def _public_masks() -> list[Figure]:
             slice_masks(some, frustum, 32, engine)
             return (time.process_time() - start) / len(some)
 
+        def numpy_seconds(poses: np.ndarray = poses) -> float:
+            with patch("slicemask.geometry.masks._compiled", return_value=None):
+                return mask_seconds("rays", poses)  # noqa: B023
+
         works = [
             lambda: mask_seconds("rays", poses),  # noqa: B023
             lambda: exactextract_masks(sample)[0],  # noqa: B023
@@ -121,18 +126,18 @@ def _public_masks() -> list[Figure]:
             masks = slice_masks(poses, frustum, 32, "rays")[:, 0]
             # Its coverage is float32.
             assert np.abs(exactextract_masks(count)[1] - masks).max() < 1e-6
-            works.append(lambda: mask_seconds("shapely", poses))  # noqa: B023
-        ours, peer, *polygons = in_turn(*works, runs=runs)
+            works += [numpy_seconds, lambda: mask_seconds("shapely", poses)]  # noqa: B023
+        ours, peer, *others = in_turn(*works, runs=runs)
         ratio = times(peer, ours)
         figures.append(Figure(
             f"slice_masks(engine='rays'), {count:,} masks of 32x32, one thread",
             f"{median(ours) * 1e6:.1f} us a mask, exactextract 0.3.0 {median(peer) * 1e6:.0f} us: "
             f"{ratio:.1f} times", "10 times", ratio >= 10,
         ))  # fmt: skip
-        if polygons:
+        for name, theirs in zip(("without numba", "the Shapely engine"), others, strict=False):
             figures.append(Figure(
-                "the Shapely engine on the same slices, in turn",
-                f"{median(polygons[0]) * 1e6:.0f} us, {times(polygons[0], ours):.0f} times",
+                f"{name}, on the same slices, in turn",
+                f"{median(theirs) * 1e6:.1f} us, {times(theirs, ours):.1f} times",
             ))  # fmt: skip
     return figures
 

@@ -24,11 +24,11 @@ from slicemask.geometry.azimuths import direction
 # Beyond the tile as seen from any place on it: farther ranges cut nothing off.
 BEYOND = 1.5
 # Beyond every lattice line, as seen from any camera.
-_FAR = 4.0
+FAR = 4.0
 _RADIANS = math.pi / 180.0
 # Moves a share by less than 1e-12.
 _HAIR = 1e-15
-_PARALLEL = 1e-30
+PARALLEL = 1e-30
 
 
 def clip_between(values: Any, low: Any, high: Any, xp: ModuleType) -> Any:
@@ -202,7 +202,7 @@ def cut_by_plane(
     factor = scale * range_ / 2
     rows = clip_between(row_at, start, stop, xp) * factor
     columns = clip_between(column_at, start, stop, xp) * factor
-    even = (wx > -_PARALLEL) == (wy > -_PARALLEL)
+    even = (wx > -PARALLEL) == (wy > -PARALLEL)
     outline = _outline(rows, columns, even, start * factor, stop * factor, xp)
     low, high = (
         xp.concat([row, column]) for row, column in zip(row_bounds, column_bounds, strict=True)
@@ -221,14 +221,14 @@ def _meet(
     """
     ahead = offset - range_ * h_across
     # Dividing by less would overflow.
-    parallel = xp.abs(w_across) < _PARALLEL
+    parallel = xp.abs(w_across) < PARALLEL
     t = ahead / xp.where(parallel, xp.ones_like(w_across), w_across)
-    far = _FAR * xp.ones_like(ahead)
+    far = FAR * xp.ones_like(ahead)
     # A line that runs along the depth line is within range or not as a whole. Where both are one,
     # the outline's flux counts for the cell before it, so the line is within range if that cell is
     # not.
     t = xp.where(parallel, xp.where(ahead >= 0.0, far, -far), t)
-    at = xp.clip(range_ * h_along + t * w_along, -_FAR, _FAR)
+    at = xp.clip(range_ * h_along + t * w_along, -FAR, FAR)
     within_all = xp.where(h_across > 0.0, ahead < 0.0, ahead >= 0.0)
     backward = h_along > 0.0
     low = xp.where(parallel, xp.where(within_all, -far, far), xp.where(backward, -far, at))

@@ -43,12 +43,12 @@ from slicemask.geometry.ranges import (
 # pay more for each call.
 _NUMPY_VALUES = 35_000
 _OTHER_VALUES = 90_000
-_PARALLEL = 1e-30
+PARALLEL = 1e-30
 # What a thread computes in from call to call: in fresh memory 64 masks take 1.7 times as long.
 _thread = threading.local()
 # Sectors are cut before they are 180 degrees wide, which rounding of their edges could make of a
 # little less.
-_WIDEST_DEG = 179.9
+WIDEST_DEG = 179.9
 
 
 def sector_fractions(
@@ -261,7 +261,7 @@ def _fractions(
     # A sector of 180 degrees or more can cut a line twice: cut it into narrower ones.
     if widest_deg is None:
         widest_deg = float(xp.max(right_deg - left_deg))
-    parts = math.floor(widest_deg / _WIDEST_DEG) + 1
+    parts = math.floor(widest_deg / WIDEST_DEG) + 1
     fractions = None
     start_deg = left_deg
     for part in range(1, parts + 1):
@@ -490,6 +490,6 @@ def _meetings(p: Any, q: Any, xp: ModuleType) -> tuple[Any, Any, Any]:
     """Whether rays (p, q) [B] meet the lines ahead, and those behind, and their slopes dp/dq."""
     # A ray this close to parallel leaves the tile before it meets any line that matters: fluxes
     # are proportional to the offset. Dividing by q would overflow.
-    parallel = xp.abs(q) < _PARALLEL
+    parallel = xp.abs(q) < PARALLEL
     slope = p / xp.where(parallel, xp.ones_like(q), q)
     return ~parallel & (q < 0.0), ~parallel & (q > 0.0), slope
