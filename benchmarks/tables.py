@@ -116,7 +116,7 @@ def _public_masks() -> list[Figure]:
 
         def numpy_seconds(poses: np.ndarray = poses) -> float:
             with patch("slicemask.geometry.masks._compiled", return_value=None):
-                return mask_seconds("rays", poses)  # noqa: B023
+                return mask_seconds("rays", poses)
 
         works = [
             lambda: mask_seconds("rays", poses),  # noqa: B023
