@@ -2,8 +2,8 @@
 
 numba compiles them when they are first called, and keeps the result (the extra ``compiled``). The
 formulas and their names are those of `slicemask.geometry.rays` and `slicemask.geometry.ranges`,
-which explain them. Loops do what whole arrays cannot: they leave out the cells that a slice does
-not reach, work out once what the slices of a pose share, and write each value once.
+which explain them. Loops do what whole arrays cannot: they keep to the rows and columns that a
+slice reaches, and work out once what the slices of a pose share.
 """
 
 import math
@@ -16,17 +16,20 @@ from numpy.typing import NDArray
 
 from slicemask.geometry.azimuths import direction
 from slicemask.geometry.frustum import Frustum
+
+# These are compiled in, and numba notices changes of this file alone: who changes them there has to
+# touch it.
 from slicemask.geometry.noise import NEGLIGIBLE
 from slicemask.geometry.ranges import BEYOND, FAR, PARALLEL
 from slicemask.geometry.rays import WIDEST_DEG
 
 Array = NDArray[np.float64]
 
-# What is this near to a lattice line, in cells, counts as on both sides of it.
+# What is this near to a lattice line, in cells, counts as lying on either side of it.
 _HAIR = 1e-6
 _RIGHT_ANGLE = math.pi / 2
-# Masks' values computed before an interrupt is noticed: a tenth of a second or so.
-_VALUES_AT_ONCE = 1 << 25
+# What is computed before an interrupt is noticed, a tenth of a second or so.
+_VALUES_AT_ONCE, _SLICES_AT_ONCE = 1 << 25, 1 << 17
 # The rows from the first to before the last, and the columns.
 Vector = tuple[float, float]
 Block = tuple[tuple[int, int], tuple[int, int]]
@@ -51,16 +54,15 @@ def write_masks(poses: Array, frustum: Frustum, masks: Array) -> None:
     masks : float64 [K, N, B, L, L]
         Where they are written to; B is 1 without bands.
     """
-    # Arrays of another kind, such as those that are read-only, would be compiled for again.
-    poses = np.array(poses, order="C")
-    edges_deg = frustum.edges_deg(poses[:, 2])
-    du, dv = direction(np.concatenate([edges_deg, poses[:, 2:]], axis=1), np)
     ranges = np.array([range_ for range_ in frustum.bands if range_ < BEYOND])
     depths = frustum.projection == "pinhole"
-    step = max(1, _VALUES_AT_ONCE // masks[0].size)
+    step = max(1, min(_VALUES_AT_ONCE // masks[0].size, _SLICES_AT_ONCE // frustum.slices))
     for start in range(0, len(poses), step):
-        some = slice(start, start + step)
-        _write(poses[some], edges_deg[some], du[some], dv[some], ranges, depths, masks[some])
+        # Arrays of another kind, such as those that are read-only, would be compiled for again.
+        some = np.array(poses[start : start + step], order="C")
+        edges_deg = frustum.edges_deg(some[:, 2])
+        du, dv = direction(np.concatenate([edges_deg, some[:, 2:]], axis=1), np)
+        _write(some, edges_deg, du, dv, ranges, depths, masks[start : start + step])
 
 
 def _compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -300,9 +302,10 @@ def _areas(
     lattice: Array, factors: Array, cuts: Array, outlines: Array,
     some: Block, g: Array, near: Array, far: Array, mask: Array,
 ) -> None:  # fmt: skip
-    """Write some cells' shares within a range, ``far``; and less those within a nearer one, clean.
+    """Write some cells' shares within a range to ``far``, and less nearer ones to ``mask``.
 
-    They are mixed differences of G, which is made a horizontal line after the other.
+    They are mixed differences of G, of which two horizontal lines are kept. A mask is cleaned of
+    rounding noise.
     """
     (row_0, row_1), (first, last) = some
     if row_0 >= row_1 or first >= last:

@@ -31,6 +31,7 @@ from slicemask.geometry.azimuths import direction
 from slicemask.geometry.noise import remove_noise
 from slicemask.geometry.ranges import (
     BEYOND,
+    PARALLEL,
     Cut,
     clip_between,
     cut_by_circle,
@@ -43,7 +44,6 @@ from slicemask.geometry.ranges import (
 # pay more for each call.
 _NUMPY_VALUES = 35_000
 _OTHER_VALUES = 90_000
-PARALLEL = 1e-30
 # What a thread computes in from call to call: in fresh memory 64 masks take 1.7 times as long.
 _thread = threading.local()
 # Sectors are cut before they are 180 degrees wide, which rounding of their edges could make of a

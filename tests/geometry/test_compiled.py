@@ -45,6 +45,11 @@ _frusta = st.one_of(
 )  # fmt: skip
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _numba_works():
+    assert module._compiled() is compiled
+
+
 def by_arrays(poses, frustum, cells):
     """The masks of poses one at a time, which are not worth compiled loops."""
     return np.concatenate([slice_masks([pose], frustum, cells, "rays") for pose in poses])
@@ -83,8 +88,9 @@ def test_slices_too_wide_for_them_are_left_to_arrays(frustum):
 def test_many_poses_are_done_in_parts(monkeypatch):
     poses = np.random.default_rng(0).random((50, 3)) * [1, 1, 360]
     whole = slice_masks(poses, Frustum(), 8, "rays")
-    monkeypatch.setattr(compiled, "_VALUES_AT_ONCE", 16 * 8 * 8 * 7)
-    assert np.array_equal(slice_masks(poses, Frustum(), 8, "rays"), whole)
+    for name, value in (("_VALUES_AT_ONCE", 16 * 8 * 8 * 7), ("_SLICES_AT_ONCE", 16 * 3)):
+        monkeypatch.setattr(compiled, name, value)
+        assert np.array_equal(slice_masks(poses, Frustum(), 8, "rays"), whole)
 
 
 def test_they_are_compiled_once_whatever_arrays_come():
@@ -123,6 +129,7 @@ def test_without_numba_arrays_do_it(monkeypatch, fresh_choice, caplog):
         ImportError("Numba needs NumPy 2.3 or less. Got NumPy 2.4.\nMore."),
         RuntimeError("cannot cache function '_write': no locator available"),
         OSError(28, "No space left on device"),
+        EOFError(),  # a file of its cache that is cut short
     ],
 )
 def test_a_numba_that_cannot_be_used_is_done_without(monkeypatch, fresh_choice, caplog, error):
@@ -135,8 +142,15 @@ def test_a_numba_that_cannot_be_used_is_done_without(monkeypatch, fresh_choice, 
         masks = slice_masks(poses, Frustum(), 8, "rays")
     assert np.array_equal(masks, by_arrays(poses, Frustum(), 8))
     (record,) = caplog.records
-    assert "numba cannot be used" in record.message
+    assert (str(error).partition("\n")[0] or "EOFError") in record.message
     assert "More" not in record.message
+
+
+def test_numba_that_is_switched_off_is_done_without(monkeypatch, fresh_choice, caplog):
+    monkeypatch.setattr("numba.config.DISABLE_JIT", True)
+    monkeypatch.setattr(compiled, "_write", None)
+    assert slice_masks([[0.5, 0.5, 0.0]] * 2, Frustum(), 4, "rays").sum() == 32.0
+    assert not caplog.records
 
 
 def test_a_picture_of_one_pose_does_not_load_numba():

@@ -5,8 +5,16 @@ import pytest
 
 from slicemask import Frustum, slice_masks
 from slicemask.errors import SpecError
+from slicemask.geometry import masks as module
 
 POSES = np.column_stack([*np.random.default_rng(0).random((2, 90)), np.arange(90) * 4.0])
+
+
+@pytest.fixture(params=["compiled", "arrays"], autouse=True)
+def loops(request, monkeypatch):
+    """With numba and without."""
+    if request.param == "arrays":
+        monkeypatch.setattr(module, "_compiled", lambda: None)
 
 
 @pytest.mark.parametrize("engine", ["rays", "shapely"])
