@@ -321,13 +321,10 @@ def _areas(
         for j in range(size + 1):
             now[j] += column_factors[j] * _clip(at, lows[j], highs[j])
         for outline in range(len(outlines)):
-            arc, low, high = (
-                outlines[outline, 0, first : last + 1],
-                outlines[outline, 1, i],
-                outlines[outline, 2, i],
-            )
+            fluxes = outlines[outline, 0, first : last + 1]
+            low, high = outlines[outline, 1, i], outlines[outline, 2, i]
             for j in range(size + 1):
-                now[j] += _clip(arc[j], low, high)
+                now[j] += _clip(fluxes[j], low, high)
         if i > row_0:
             shares, nearer = far[i - 1, first:last], near[i - 1, first:last]
             written = mask[i - 1, first:last]
