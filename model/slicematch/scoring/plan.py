@@ -15,9 +15,7 @@ from torch.nn import functional as F  # noqa: N812
 
 Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 
-# Rows whose sums are taken at once: in float64 they take several times their own memory. Fewer
-# would slow answers by a third: until something larger was freed once, glibc returns memory of
-# features' size to the system each time.
+# Rows whose sums are taken at once: in float64 they take several times their own memory.
 _SUMMED = 1 << 16
 # Masks gathered in one product are padded to a common multiple of so many cells.
 _PADDED = 8
