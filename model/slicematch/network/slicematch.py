@@ -163,7 +163,7 @@ def _keep_memory() -> None:
     """Have glibc keep the memory that features leave for the next ones.
 
     It gives back blocks larger than any that was freed before, up to 32 MiB, and zeroes them when
-    they are asked for again: a quarter of the time of an answer among few candidates. To free such a
-    block once, which nobody has touched, costs nothing.
+    they are asked for again: a quarter of the time of an answer among few candidates. To free such
+    a block once, which nobody has touched, costs nothing.
     """
     torch.empty(31 << 20, dtype=torch.uint8)
