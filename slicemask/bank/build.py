@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import deflate
@@ -147,11 +147,11 @@ def build_bank(
     jobs = thread_count(jobs)
     source: PoseSource
     if isinstance(poses, PoseGrid):
-        spec = BankSpec(poses, frustum, cells, engine, versions=_versions(engine))
+        spec = BankSpec(poses, frustum, cells, engine)
         source = GridSource(poses)
     else:
         checked = check_poses(poses)
-        spec = BankSpec(PoseDigest.of(checked), frustum, cells, engine, versions=_versions(engine))
+        spec = BankSpec(PoseDigest.of(checked), frustum, cells, engine)
         source = ListSource(checked)
     path = bank_path(spec, out, cache)
 
@@ -165,8 +165,9 @@ def build_bank(
             rows = _reusable_rows(path, spec, force)
             if rows is not None:
                 return BuildResult(path, reused=True, rows=rows)
+            written = replace(spec, versions=_versions(engine))
             return BuildResult(
-                path, False, _build(path, spec, source, jobs, progress, limits, check, locked)
+                path, False, _build(path, written, source, jobs, progress, limits, check, locked)
             )
 
     try:

@@ -5,6 +5,7 @@ from typing import Any
 import click
 
 from slicemask import Frustum
+from slicemask.cli.imports import without_collection
 from slicemask.cli.options import (
     FRUSTUM_OPTIONS,
     NumberList,
@@ -80,7 +81,7 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
     if options["headings_unit"] is not None and options["headings"] is None:
         raise click.UsageError("--headings-unit belongs to --headings.")
     check_model_installed()
-    with status_line("loading torch"):
+    with status_line("loading torch"), without_collection():
         from slicematch import evaluate
 
     with progress_bar("evaluating", "samples") as progress:

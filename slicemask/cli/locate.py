@@ -4,6 +4,7 @@ from typing import Any
 
 import click
 
+from slicemask.cli.imports import without_collection
 from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import as_json_option, given_options
 from slicemask.cli.output import print_result, progress_bar, status_line
@@ -57,7 +58,7 @@ def locate(
     PHOTOS are images, folders, patterns, or tables with a column ground.
     """
     check_model_installed()
-    with status_line("loading torch"):
+    with status_line("loading torch"), without_collection():
         from slicematch import Priors, locate
 
     with messages_on_stderr("slicematch"), progress_bar("locating", "photographs") as progress:

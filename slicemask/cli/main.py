@@ -3,13 +3,12 @@
 import errno
 import gc
 import importlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import click
 
 from slicemask._version import __version__
+from slicemask.cli.imports import without_collection
 from slicemask.errors import SlicemaskError
 from slicemask.interrupts import exit_on_signals
 
@@ -39,20 +38,6 @@ _COMMANDS = {
 }
 
 
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Collect no garbage during imports, which make none: looking for it takes 20 ms."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collecting:
-            gc.freeze()
-            gc.unfreeze()  # moves what was imported to the oldest generation, seldom looked through
-            gc.enable()
-
-
 class _Group(click.Group):
     """Commands that are imported when they are asked for.
 
@@ -72,7 +57,7 @@ class _Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return super().get_command(ctx, cmd_name)
-        with _no_collection():
+        with without_collection():
             module = importlib.import_module(f"slicemask.cli.{_COMMANDS[cmd_name][0]}")
         command: click.Command = getattr(module, cmd_name)
         return command

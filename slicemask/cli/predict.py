@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slicemask.cli.imports import without_collection
 from slicemask.cli.options import Numbers, as_json_option, given_options
 from slicemask.cli.output import print_result, status_line
 from slicemask.cli.places import map_option, map_options
@@ -78,11 +79,12 @@ def predict(
         raise click.UsageError("--truth is drawn in the picture; it needs --out.")
     check_model_installed()
     with status_line("loading torch") as say:
-        if click.get_current_context().find_root().obj:
-            from slicematch._quick_start import start_quickly
+        with without_collection():
+            if click.get_current_context().find_root().obj:
+                from slicematch._quick_start import start_quickly
 
-            start_quickly()
-        from slicematch import predict
+                start_quickly()
+            from slicematch import predict
 
         prediction = predict(run, ground, aerial, progress=say, **given_options(options))
     print_result(as_json, prediction.as_dict(), prediction.report())
@@ -115,7 +117,8 @@ def _predict_on_map(
     known = on_map.pop("near", None), on_map.pop("within_m", None), *on_map.pop("heading", ())
     check_model_installed()
     with status_line("loading torch") as say:
-        from slicematch import Priors, predict_on_map
+        with without_collection():
+            from slicematch import Priors, predict_on_map
 
         aerial_map = on_map.pop("aerial_map")
         return predict_on_map(

@@ -4,6 +4,7 @@ from typing import Any
 
 import click
 
+from slicemask.cli.imports import without_collection
 from slicemask.cli.messages import messages_on_stderr
 from slicemask.cli.options import Numbers, as_json_option, cache_option, given_options
 from slicemask.cli.output import print_result, progress_bar, status_line
@@ -78,7 +79,7 @@ def track(
     topics = {name: options.pop(name) for name in names}
     if heading is not None and heading[0] is not None:
         options["heading"] = heading[0], _HEADING_DEG if heading[1] is None else heading[1]
-    with status_line("loading torch"):
+    with status_line("loading torch"), without_collection():
         from slicematch.tracking.track import track
 
     with messages_on_stderr("slicematch"), progress_bar("tracking", "frames") as progress:

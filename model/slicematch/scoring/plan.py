@@ -15,8 +15,8 @@ from torch.nn import functional as F  # noqa: N812
 
 Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 
-# Rows whose sums are taken at once: in float64 they take several times their own memory.
-_SUMMED = 1 << 16
+# Rows worked on at once: on the way they take several times their own memory.
+_ROWS = 1 << 13
 # Masks gathered in one product are padded to a common multiple of so many cells.
 _PADDED = 8
 
@@ -29,8 +29,8 @@ def as_means(masks: Masks) -> Masks:
     """
     starts, cells, fractions = masks
     means = torch.empty_like(fractions)
-    for first in range(0, len(starts) - 1, _SUMMED):
-        ends = starts[first : first + _SUMMED + 1]
+    for first in range(0, len(starts) - 1, _ROWS):
+        ends = starts[first : first + _ROWS + 1]
         begin, end = int(ends[0]), int(ends[-1])
         lengths = (ends[1:] - ends[:-1]).long()
         rows = torch.repeat_interleave(
@@ -146,6 +146,19 @@ def take_rows(masks: Masks, chosen: Tensor, nonzeros: int) -> Masks:
     return new_starts, cells[taken], fractions[taken]
 
 
+def _take_many(masks: Masks, chosen: Tensor) -> Masks:
+    """`take_rows` of many rows, a block after the other."""
+    starts, cells, fractions = masks
+    new_starts = running_sums(starts[chosen + 1] - starts[chosen])
+    nonzeros = int(new_starts[-1])
+    taken, shares = cells.new_empty(nonzeros), fractions.new_empty(nonzeros)
+    for first in range(0, len(chosen), _ROWS):
+        some = chosen[first : first + _ROWS]
+        begin, end = int(new_starts[first]), int(new_starts[first + len(some)])
+        _, taken[begin:end], shares[begin:end] = take_rows(masks, some, end - begin)
+    return new_starts, taken, shares
+
+
 def running_sums(lengths: Tensor) -> Tensor:
     """Sum of the lengths [R] before each, and of all: [R + 1]."""
     return F.pad(torch.cumsum(lengths, 0, dtype=lengths.dtype), (1, 0))
@@ -184,6 +197,6 @@ def plan_shared(index: Tensor, masks: Masks) -> SharedPlan:
     for n in range(slices):
         slot[:, n] = first[index[:, n]] + n
     if len(used) < len(lengths):
-        masks = take_rows(masks, used, int(lengths[used].sum()))
+        masks = _take_many(masks, used)
     # Else they are those of the candidates: a copy for a million poses would take 2 GB on its way.
     return SharedPlan(masks, slot)

@@ -12,6 +12,7 @@ import torch
 from scipy import sparse
 from slicematch.errors import ConfigError
 from slicematch.network.aggregation import unit
+from slicematch.scoring import plan
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.plan import as_means
 from slicematch.scoring.scores import heat_map, score_candidates, score_masks
@@ -279,7 +280,8 @@ def test_gradients_of_masks_that_are_pooled_both_ways(tmp_path, kept):
 
 @pytest.mark.parametrize("shared", [False, True], ids=["attention by slice", "shared attention"])
 @pytest.mark.parametrize("bands", [1, 3])
-def test_bands_equal_the_dense_product(bank, bands, shared):
+def test_bands_equal_the_dense_product(bank, bands, shared, monkeypatch):
+    monkeypatch.setattr(plan, "_ROWS", 7)  # plans are made a few rows at a time
     masks = all_masks(bank)[:, :, None]  # [K, N, 1, L, L]
     if bands > 1:  # any parts of a slice that sum to it
         parts = np.random.default_rng(0).dirichlet(np.ones(bands), masks.shape[:2])
