@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from slicematch import Localizer
-from slicematch.localization.localizer import load_candidates
+from slicematch.localization.members import load_candidates
 from slicematch.network.slicematch import SliceMatch
 
 from slicemask import Frustum, PoseGrid, build_bank

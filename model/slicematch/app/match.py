@@ -13,7 +13,7 @@ from slicematch.data.elevations import crop_elevations
 from slicematch.localization.estimate import Estimate
 from slicematch.localization.localizer import HeadingPrior, Localizer, PlacePrior
 from slicematch.localization.tiles import trained_window
-from slicematch.scoring.off_grid import PairScorer
+from slicematch.scoring.off_grid import JointScorer, PairScorer
 
 Pose = tuple[float, float, float]
 # Sessions share one localizer, which keeps the candidates of the last priors.
@@ -32,14 +32,14 @@ class Match:
         The part of the ground image that the run looks at.
     estimate : Estimate
         The answer, in the frame of `tile`.
-    scorer : PairScorer
+    scorer : PairScorer or JointScorer
         Of any pose in that frame.
     """
 
     tile: Image.Image
     ground: Image.Image
     estimate: Estimate
-    scorer: PairScorer
+    scorer: PairScorer | JointScorer
 
     def contributions(self, pose: Pose) -> NDArray[np.float32]:
         """What each band of each slice adds to a pose's score, float32 [N, B]; they sum to it."""

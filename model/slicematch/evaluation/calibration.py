@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
@@ -178,7 +177,8 @@ def calibrate(
     Parameters
     ----------
     run : path
-        A run folder. Its ``calibration.json`` is written, or replaced.
+        A run folder. Its ``calibration.json`` is written, or replaced; an ensemble's
+        ``ensemble.json``.
     dataset : torch.utils.data.Dataset, optional
         Validation samples of the program's own, as `slicematch.PoseDataset` documents them.
     grid : str, optional
@@ -225,10 +225,12 @@ def calibrate(
             f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
             "temperature to; without one the loss's tau is used"
         )
+    ensemble = bool(folder.members())
+    file = folder.ensemble_file if ensemble else folder.calibration_file
     try:
-        folder.load_calibration(config)
+        folder.load_calibration(config, ensemble)
     except RunError:  # it is to be replaced, and no localizer loads beside it
-        folder.calibration_file.unlink()
+        file.unlink()
     localizer = Localizer.load(
         run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
     )
@@ -254,10 +256,9 @@ def calibrate(
         samples.bad_sample_log = log
         for batch in loader:
             if batch is not None:
-                images = (batch[kind].to(localizer.device) for kind in ("ground", "aerial"))
                 rows = slice(read, read + len(batch["pose"]))
-                with torch.no_grad():
-                    scores[rows] = localizer.model(*images, candidates).float().cpu().numpy()
+                found = localizer.scores(batch["ground"], batch["aerial"])
+                scores[rows] = found.float().cpu().numpy()
                 truths[rows] = nearest_candidates(candidates.poses, batch["pose"].numpy())
                 read = rows.stop
             if progress is not None:
@@ -284,7 +285,7 @@ def calibrate(
             f"with fewer than {FEW_SAMPLES}: set more aside for validation in training"
         )
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-    write_text(folder.calibration_file, text, RunError)
+    write_text(file, text, RunError)
     return content
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -176,9 +175,8 @@ def estimates_of(
     localizer: Localizer, ground: Tensor, aerial: Tensor, tile_metres: NDArray[np.float64]
 ) -> list[Estimate]:
     """Estimates of normalised images."""
-    with torch.no_grad():
-        descriptors = localizer.model.encode_ground(ground.to(localizer.device))
-        features = localizer.model.encode_aerial(aerial.to(localizer.device))
+    descriptors = localizer.encode_ground_pixels(ground)
+    features = localizer.encode_aerial_pixels(aerial)
     pixels = [aerial.shape[-1]] * len(aerial)
     return localizer.estimate(descriptors, features, pixels, tile_metres.tolist())
 

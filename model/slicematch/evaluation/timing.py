@@ -15,7 +15,8 @@ from slicemask.bank.build import Progress
 from slicemask.errors import is_out_of_memory
 from slicematch.devices import choose_device, precision_note
 from slicematch.errors import ConfigError
-from slicematch.localization.localizer import Localizer, load_candidates
+from slicematch.localization.localizer import Localizer
+from slicematch.localization.members import load_candidates
 from slicematch.network.bands import RangeBands
 from slicematch.network.slicematch import SliceMatch
 from slicematch.precision import Precision
@@ -143,6 +144,7 @@ def time_run(
         device=device,
         cache=cache,
         precision=precision,
+        alone=True,
     )
     ground_size = cast(tuple[int, int], loaded.config.ground_size)
     return time_stages(

@@ -128,7 +128,14 @@ def export(
     if samples < 1:
         raise ConfigError(f"samples is {samples}; it must be at least 1")
     localizer = Localizer.load(
-        run, bank, grid=grid, checkpoint=checkpoint, device="cpu", cache=cache, refine="none"
+        run,
+        bank,
+        grid=grid,
+        checkpoint=checkpoint,
+        device="cpu",
+        cache=cache,
+        refine="none",
+        alone=True,
     )
     test = _read_pairs(localizer, "test", root, samples) if variants else None
     tuning = None

@@ -9,7 +9,7 @@ from typing import Any, cast
 import torch
 from PIL import Image
 
-from slicemask import Frustum, PoseGrid, build_bank, open_bank
+from slicemask import Frustum, PoseGrid, build_bank
 from slicemask.images import Picture, name_of, read_aerial, read_image, resize
 from slicematch.data.elevations import crop_elevations, frame_ground
 from slicematch.data.images import normalise
@@ -17,6 +17,15 @@ from slicematch.data.panoramas import cut_hfov, read_panorama, turn_panorama
 from slicematch.devices import choose_device
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
+from slicematch.localization.members import (
+    Encoded,
+    EncodedPairs,
+    Member,
+    check_sees_alike,
+    joined,
+    load_candidates,
+    weights_of,
+)
 from slicematch.localization.modes import Mode, find_modes
 from slicematch.localization.probabilities import mode_probabilities, probabilities
 from slicematch.localization.refinement import (
@@ -27,15 +36,13 @@ from slicematch.localization.refinement import (
     refine_modes,
 )
 from slicematch.localization.tiles import AerialTile, trained_window
-from slicematch.network.slicematch import SliceMatch
 from slicematch.precision import Precision
 from slicematch.priors import PosePrior
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.runs.shipped import find_run
 from slicematch.scoring.candidates import Candidates
-from slicematch.scoring.off_grid import PairScorer
-from slicematch.scoring.scores import score_candidates
+from slicematch.scoring.off_grid import JointScorer, PairScorer
 
 log = logging.getLogger(__name__)
 
@@ -54,28 +61,34 @@ class Localizer:
 
     Parameters
     ----------
-    model : SliceMatch
-        Trained, set to evaluate.
-    candidates : Candidates
-        Of a grid.
+    members : sequence of Member
+        The run's network, or those of an ensemble.
     grid : PoseGrid
-        That grid.
+        Of their candidates.
     config : TrainConfig
-        The run's settings.
+        The run's settings, of an ensemble its first network's.
     device : torch.device
-        Where model and candidates are.
+        Where models and candidates are.
     refine : {"none", "mean", "fine", "continuous"}
         How estimates are refined, unless `localize` is told otherwise.
     temperature : float, optional
         That makes scores probabilities; the loss's tau by default.
     calibrated : bool
         Whether it was fitted to scores of these candidates and weights.
+
+    Attributes
+    ----------
+    model : SliceMatch
+        The run's network, of an ensemble the first.
+    candidates : Candidates
+        As it has them laid out.
+    frustum : Frustum
+        With its slices and bands.
     """
 
     def __init__(
         self,
-        model: SliceMatch,
-        candidates: Candidates,
+        members: Sequence[Member],
         grid: PoseGrid,
         config: TrainConfig,
         device: torch.device,
@@ -83,17 +96,18 @@ class Localizer:
         temperature: float | None = None,
         calibrated: bool = False,
     ) -> None:
-        self.model = model
-        self.candidates = candidates
+        self.members = tuple(members)
+        self.model = members[0].model
+        self.candidates = members[0].candidates
+        self.frustum: Frustum = members[0].frustum
         self.grid = grid
         self.config = config
         self.device = device
         self.refine = check_refine(refine)
         self.calibrated = calibrated
         self.temperature = config.tau if temperature is None else temperature
-        self.frustum: Frustum = config.frustum()
         self.tile_side_m: float | None = config.tile_side_m
-        self._within: dict[tuple[HeadingPrior | None, PlacePrior | None], Candidates] = {}
+        self._within: dict[tuple[HeadingPrior | None, PlacePrior | None], list[Candidates]] = {}
 
     @classmethod
     def load(
@@ -107,6 +121,7 @@ class Localizer:
         cache: str | Path | None = None,
         refine: Refine = DEFAULT,
         precision: Precision = "32-true",
+        alone: bool = False,
     ) -> "Localizer":
         """Load a run; nothing that its files may hold is run.
 
@@ -132,14 +147,16 @@ class Localizer:
             In which the encoders compute; all else is float32. With fewer bits they are faster on
             GPUs and new CPUs, and their features good to two or three digits; "16-mixed" is for
             GPUs only.
+        alone : bool
+            Of an ensemble, load its first network alone: half the time or less, and other answers.
 
         Raises
         ------
         RunError
             If the run cannot be loaded.
         ConfigError
-            If the bank does not fit the run, both bank and grid are given, or there is no such
-            device or precision.
+            If the bank does not fit the run, both bank and grid are given, there is no such device
+            or precision, or the networks of an ensemble take different images.
         BankError
             If the bank cannot be read.
         """
@@ -154,15 +171,41 @@ class Localizer:
             poses = config.grid("test_grid", grid)
             bank = build_bank(poses, config.frustum(), model.cells, cache=cache).path
         candidates, poses = load_candidates(bank, config.frustum(), model.cells)
+        networks = [(model, candidates.to(chosen), config.frustum())]
+        temperatures = [config.tau if fitted is None else fitted.temperature]
+        for other in [] if alone else folder.members():
+            theirs, model = other.load_model()
+            check_sees_alike(config, theirs, str(other.path))
+            known = other.load_calibration(theirs)
+            model.for_inference(chosen, precision)
+            bank = build_bank(poses, theirs.frustum(), model.cells, cache=cache).path
+            candidates, _ = load_candidates(bank, theirs.frustum(), model.cells)
+            networks.append((model, candidates.to(chosen), theirs.frustum()))
+            temperatures.append(theirs.tau if known is None else known.temperature)
+        weights, temperature = weights_of(temperatures)
+        if len(networks) > 1:
+            fitted = folder.load_calibration(config, ensemble=True)
+            temperature = temperature if fitted is None else fitted.temperature
         return cls(
-            model,
-            candidates.to(chosen),
+            [
+                Member(*network, weight, own)
+                for network, weight, own in zip(networks, weights, temperatures, strict=True)
+            ],
             poses,
             config,
             chosen,
             refine,
-            None if fitted is None else fitted.temperature,
+            temperature,
             calibrated=fitted is not None and fitted.matches(poses, checkpoint),
+        )
+
+    def alone(self) -> "Localizer":
+        """One that answers with the first network of an ensemble; of one network, itself."""
+        if len(self.members) == 1:
+            return self
+        first = replace(self.members[0], weight=1.0)
+        return Localizer(
+            [first], self.grid, self.config, self.device, self.refine, first.temperature
         )
 
     def encode_aerial(
@@ -195,11 +238,10 @@ class Localizer:
         window = trained_window(image.width, metres_per_pixel, self.tile_side_m)
         size = self.config.aerial_size
         pixels = normalise(resize(window.crop(image), (size, size)), *self.config.normalisation())
-        with torch.no_grad():
-            features = self.model.encode_aerial(pixels[None].to(self.device))
+        features = self.encode_aerial_pixels(pixels[None])
         return AerialTile(features, image.width, metres_per_pixel, window)
 
-    def encode_ground(self, ground: Picture) -> torch.Tensor:
+    def encode_ground(self, ground: Picture) -> Encoded:
         """Encode a ground image, for `pair_scorer`, or for `estimate` with tiles of any number.
 
         Parameters
@@ -210,34 +252,44 @@ class Localizer:
         Returns
         -------
         descriptors : float [1, N * B, C]
-            d_g^{n,b}.
+            d_g^{n,b}; of an ensemble a tuple with those of each network.
 
         Raises
         ------
         ImageError
             If the image cannot be read or has the wrong proportions.
         """
-        with torch.no_grad():
-            return self.model.encode_ground(self._as_input(self.read_ground(ground)))
+        return self.encode_ground_pixels(self._as_input(self.read_ground(ground)))
 
-    def pair_scorer(self, ground: torch.Tensor, tile: AerialTile) -> PairScorer:
+    def encode_ground_pixels(self, images: torch.Tensor) -> Encoded:
+        """Encode ground images [S, 3, height, width] of the run's size, normalised for it."""
+        images = images.to(self.device)
+        with torch.no_grad():
+            return joined([member.model.encode_ground(images) for member in self.members])
+
+    def encode_aerial_pixels(self, images: torch.Tensor) -> Encoded:
+        """Encode aerial images [S, 3, A, A] of the run's size, normalised for it."""
+        images = images.to(self.device)
+        with torch.no_grad():
+            return joined([member.model.encode_aerial(images) for member in self.members])
+
+    def pair_scorer(self, ground: Encoded, tile: AerialTile) -> PairScorer | JointScorer:
         """The score of any pose for one pair of images, and what each slice adds to it.
 
         Parameters
         ----------
-        ground : float [1, N * B, C]
+        ground
             What `encode_ground` gives.
         tile : AerialTile
             What `encode_aerial` gives. Poses are in the frame of its window.
 
         Returns
         -------
-        PairScorer
+        PairScorer or, of an ensemble, JointScorer
             For poses on and off the grid.
         """
         with torch.no_grad():
-            attention = self.model.attend(tile.features, ground)
-        return PairScorer(ground[0], tile.features[0], attention[0], self.frustum)
+            return EncodedPairs.of(self.members, ground, tile.features).scorer(0)
 
     def localize(
         self,
@@ -302,8 +354,7 @@ class Localizer:
                 COMPASS_DEG,
                 facing_deg,
             )
-        with torch.no_grad():
-            descriptors = self.model.encode_ground(self._as_input(image))
+        descriptors = self.encode_ground_pixels(self._as_input(image))
         (estimate,) = self.estimate(
             descriptors,
             tile.features,
@@ -326,8 +377,8 @@ class Localizer:
 
     def estimate(
         self,
-        ground: torch.Tensor,
-        aerial: torch.Tensor,
+        ground: Encoded,
+        aerial: Encoded,
         tile_pixels: Sequence[int],
         tile_metres: Sequence[float] | None = None,
         heading_prior: HeadingPrior | None = None,
@@ -339,9 +390,9 @@ class Localizer:
         Parameters
         ----------
         ground : float [S, N * B, C]
-            d_g^{n,b}, what the model's `encode_ground` gives.
+            d_g^{n,b}, what `encode_ground` and `encode_ground_pixels` give.
         aerial : float [S, C, L, L]
-            z_a, what its `encode_aerial` gives.
+            z_a, what `encode_aerial_pixels` gives.
         tile_pixels : int [S]
             Side of each tile as it was handed in.
         tile_metres : float [S], optional
@@ -367,17 +418,16 @@ class Localizer:
         """
         refine = check_refine(refine or self.refine)
         heading_prior, place_prior = self._priors(heading_prior, place_prior)
-        candidates = self.within(heading_prior, place_prior)
+        candidates = self._each_within(heading_prior, place_prior)
         prior = PosePrior(self.grid.extent, heading_prior, place_prior)
         with torch.no_grad():
-            attention = self.model.attend(aerial, ground)
-            scored = score_candidates(ground, aerial, attention, candidates)
-            scores = candidates.scatter_to_grid(scored).cpu().numpy()
+            pairs = EncodedPairs.of(self.members, ground, aerial)
+            scores = candidates[0].scatter_to_grid(pairs.scores(candidates)).cpu().numpy()
         estimates = []
         for s in range(len(scores)):
             likely = probabilities(scores[s], self.temperature)
             poses, values = find_modes(scores[s], self.grid)
-            scorer = PairScorer(ground[s], aerial[s], attention[s], self.frustum)
+            scorer = pairs.scorer(s)
             if refine == "mean":
                 poses, values = mean_modes(scorer, poses, values, likely, self.grid, prior)
             elif refine != "none":
@@ -397,13 +447,41 @@ class Localizer:
     ) -> Candidates:
         """The candidates that agree with the priors given, or else with the run's own.
 
+        Of an ensemble, as its first network has them laid out.
+        """
+        return self._each_within(heading_prior, place_prior)[0]
+
+    def scores(self, ground: torch.Tensor, aerial: torch.Tensor) -> torch.Tensor:
+        """Scores of all candidates within the run's own priors.
+
+        Parameters
+        ----------
+        ground : float [S, 3, height, width]
+            Normalised, as `encode_ground_pixels` takes them.
+        aerial : float [S, 3, A, A]
+            As `encode_aerial_pixels` takes them.
+
+        Returns
+        -------
+        scores : float [S, K]
+            In the order of ``within().poses``.
+        """
+        encoded = self.encode_ground_pixels(ground), self.encode_aerial_pixels(aerial)
+        with torch.no_grad():
+            return EncodedPairs.of(self.members, *encoded).scores(self._each_within(None, None))
+
+    def _each_within(
+        self, heading_prior: HeadingPrior | None, place_prior: PlacePrior | None
+    ) -> list[Candidates]:
+        """The candidates within priors, as each network has them laid out.
+
         Those of the last few priors are kept: laying out their masks again for each image would
         take a fifth as long as scoring them (measured on a CPU, 3,000 to 4,000 poses).
         """
         key = self._priors(heading_prior, place_prior)
         if key not in self._within:
             _warn_of_slips(*key)
-            found = self.candidates.within(*key)
+            found = [member.candidates.within(*key) for member in self.members]
             if len(self._within) >= _PRIORS_KEPT:
                 del self._within[next(iter(self._within))]  # the oldest
             self._within[key] = found
@@ -483,27 +561,3 @@ def _warn_of_slips(heading_prior: HeadingPrior | None, place_prior: PlacePrior |
             "heading prior %s has a half width beyond 180 degrees, so that it allows every heading",
             ",".join(f"{value:g}" for value in heading_prior),
         )
-
-
-def load_candidates(path: str | Path, frustum: Frustum, cells: int) -> tuple[Candidates, PoseGrid]:
-    """The candidates of a bank, checked against a model, and their grid.
-
-    Raises
-    ------
-    BankError
-        If the bank cannot be read.
-    ConfigError
-        If it has another frustum or other cells, or holds a list of poses instead of a grid.
-    """
-    with open_bank(path) as bank:
-        spec = bank.spec
-        if (spec.frustum, spec.cells) != (frustum, cells):
-            left = "" if frustum.left_deg is None else f" from {frustum.left_deg:g}"
-            raise ConfigError(
-                f"{path}: holds {spec.summary()}; the run needs hfov {frustum.hfov_deg:g} deg"
-                f"{left} {frustum.projection}, {frustum.slices} slices and {cells}x{cells} cells: "
-                "name such a bank, or none"
-            )
-        if spec.grid is None:
-            raise ConfigError(f"{path}: holds a list of poses; a heat map needs the bank of a grid")
-        return Candidates.from_bank(bank), spec.grid

@@ -4,12 +4,12 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from PIL import Image
 
 from slicemask import PoseGrid
 from slicematch.errors import ConfigError
+from slicematch.localization.members import Encoded
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ class AerialTile:
     Attributes
     ----------
     features : float [1, C, L, L]
-        z_a of the window.
+        z_a of the window; of an ensemble a tuple with one of each network.
     pixels : int
         Side of the tile as it was handed in.
     metres_per_pixel : float or None
@@ -86,7 +86,7 @@ class AerialTile:
         The part of it that is encoded.
     """
 
-    features: torch.Tensor
+    features: Encoded
     pixels: int
     metres_per_pixel: float | None = None
     window: Window = Window()

@@ -11,6 +11,9 @@
     The temperature that makes scores probabilities (`slicematch.evaluation.calibration`).
 ``stages.json``
     What its encoders give of its images, so that loading need not find out. It may be missing.
+``members/``, ``ensemble.json``
+    Of an ensemble (`slicematch.runs.packed`): further networks that answer with this one, each a
+    packed run, and the temperature of their scores together.
 ``tensorboard/``, ``heat_maps/``, ``bad_samples.jsonl``, ``evaluation/``
     Curves, an example of each epoch, unreadable samples, and results.
 """
@@ -105,6 +108,21 @@ class RunFolder:
         return self.path / "calibration.json"
 
     @property
+    def ensemble_file(self) -> Path:
+        """The temperature of an ensemble's scores, and how it was fitted."""
+        return self.path / "ensemble.json"
+
+    @property
+    def members_folder(self) -> Path:
+        """Where the further networks of an ensemble are."""
+        return self.path / "members"
+
+    def members(self) -> list["RunFolder"]:
+        """The further networks of an ensemble, in the order of their names; of others none."""
+        files = sorted(self.members_folder.glob("*/config.yaml"))
+        return [RunFolder(file.parent) for file in files]
+
+    @property
     def stages_file(self) -> Path:
         """The stages of its encoders."""
         return self.path / "stages.json"
@@ -166,16 +184,26 @@ class RunFolder:
             return []
         return [entry for entry in map(_metrics, lines) if entry is not None]
 
-    def load_calibration(self, config: TrainConfig) -> FittedTemperature | None:
+    def load_calibration(
+        self, config: TrainConfig, ensemble: bool = False
+    ) -> FittedTemperature | None:
         """The temperature that was fitted to the scores of the run, of these settings, if any was.
+
+        Parameters
+        ----------
+        config : TrainConfig
+            The run's settings.
+        ensemble : bool
+            Of the scores that all networks of an ensemble give together, instead of the first's.
 
         Raises
         ------
         RunError
             If the file that should hold it does not.
         """
+        file = self.ensemble_file if ensemble else self.calibration_file
         try:
-            content = json.loads(self.calibration_file.read_text("utf-8"))
+            content = json.loads(file.read_text("utf-8"))
             temperature, checkpoint = content["temperature"], content["checkpoint"]
             if not (isinstance(temperature, float) and 0.0 < temperature < math.inf):
                 raise ValueError(f"temperature is {temperature!r}")
@@ -186,7 +214,7 @@ class RunFolder:
             return None
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(
-                f"{self.calibration_file}: holds no temperature greater than 0 with its grid and "
+                f"{file}: holds no temperature greater than 0 with its grid and "
                 f"checkpoint ({error!r}); remove it, or write it again with `slicemask calibrate`"
             ) from error
         return FittedTemperature(temperature, grid, checkpoint)

@@ -1,5 +1,6 @@
 """Scores of any poses for one pair of images, on or off a grid of candidates."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -91,3 +92,65 @@ class PairScorer:
                 present = present + (descriptors.detach() != 0).any(dim=1)
             parts = cosine(torch.stack(dots), present, ground.flatten()).T  # [K, N * B]
             return parts.unflatten(1, (self.frustum.slices, self.frustum.band_count))
+
+
+@dataclass(frozen=True)
+class JointScorer:
+    """The weighted sum of the scores of several networks for one pair of images.
+
+    Parameters
+    ----------
+    scorers : sequence of PairScorer [M]
+        One a network. Their slices and bands may differ, the field of view not.
+    weights : sequence of float [M]
+        Of their scores.
+    """
+
+    scorers: Sequence[PairScorer]
+    weights: Sequence[float]
+
+    @property
+    def frustum(self) -> Frustum:
+        """Of the ground image, with the slices and bands that contributions are given for."""
+        return self.scorers[0].frustum
+
+    def __call__(self, poses: Tensor) -> Tensor:
+        """Score poses [K, 3], as a `PairScorer` does: float [K]."""
+        return sum(
+            (weight * scorer(poses) for weight, scorer in self._weighted()),
+            start=torch.zeros((), device=self.scorers[0].features.device),
+        )
+
+    def contributions(self, poses: Tensor) -> Tensor:
+        """What each band of each slice of the first network adds to the scores of poses.
+
+        Parameters
+        ----------
+        poses : float64 [K, 3]
+            u, v in [0, 1] of the aerial frame and heading_deg.
+
+        Returns
+        -------
+        contributions : float [K, N, B]
+            They sum to the score. What another network's slice adds is spread evenly over the
+            angles that it takes up, and over all bands.
+        """
+        slices, bands = self.frustum.slices, self.frustum.band_count
+        total = torch.zeros((), device=self.scorers[0].features.device)
+        for number, (weight, scorer) in enumerate(self._weighted()):
+            parts = scorer.contributions(poses)
+            if number > 0:
+                overlap = _overlap(parts.shape[1], slices).to(parts)
+                parts = (parts.sum(dim=2) @ overlap)[..., None].expand(-1, -1, bands) / bands
+            total = total + weight * parts
+        return total
+
+    def _weighted(self) -> Sequence[tuple[float, PairScorer]]:
+        return list(zip(self.weights, self.scorers, strict=True))
+
+
+def _overlap(taken: int, given: int) -> Tensor:
+    """The share of each of some equal parts of an angle that lies in each of others, [., .]."""
+    edges, others = torch.arange(taken + 1) / taken, torch.arange(given + 1) / given
+    high = torch.minimum(edges[1:, None], others[1:])
+    return (high - torch.maximum(edges[:-1, None], others[:-1])).clamp_min(0) * taken

@@ -17,7 +17,8 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from slicemask import PoseGrid, build_bank
-from slicematch.localization.localizer import Localizer, load_candidates
+from slicematch.localization.localizer import Localizer
+from slicematch.localization.members import load_candidates, only
 from slicematch.localization.tiles import AerialTile
 from slicematch.scoring.scores import score_candidates
 from slicematch.tracking.place_scores import PlaceCandidates, PlaceDescriptors
@@ -127,9 +128,10 @@ class LocalScorer:
         if model.aerial_attention.cross_view:
             return ScoredTile(tile, None, None)
         with torch.inference_mode():
-            attention = model.aerial_attention.attention(tile.features)
+            features = only(tile.features)
+            attention = model.aerial_attention.attention(features)
             fine, coarse = (
-                places.describe(tile.features, attention) for places in (self.fine, self.coarse)
+                places.describe(features, attention) for places in (self.fine, self.coarse)
             )
         return ScoredTile(tile, fine, coarse)
 
@@ -195,7 +197,7 @@ class LocalScorer:
             if known is not None:
                 scores = known.scores(ground, places, headings)
             else:
-                features = tile.encoded.features
+                features = only(tile.encoded.features)
                 attention = self.localizer.model.attend(features, ground)
                 window = candidates.window(places, headings)
                 scores = score_candidates(ground, features, attention, window)[0]

@@ -168,7 +168,13 @@ def track(
     recording = open_drive(drive, config, **(topics or {}))
     start = _start(recording, drive, near, within_m, fixes)
     localizer = Localizer.load(
-        run, grid="2x2x4", checkpoint=checkpoint, device=device, precision=precision, cache=cache
+        run,
+        grid="2x2x4",
+        checkpoint=checkpoint,
+        device=device,
+        precision=precision,
+        cache=cache,
+        alone=True,
     )
     tracker = Tracker(localizer, opened, start, heading, side_m, settings, cache)
     with tracker:

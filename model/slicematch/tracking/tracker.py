@@ -15,6 +15,7 @@ from slicematch.data.maps import AerialMap
 from slicematch.data.positions import Fix
 from slicematch.digits import digits
 from slicematch.localization.localizer import Localizer
+from slicematch.localization.members import only
 from slicematch.localization.on_map import PlaceOnGlobe, tile_side
 from slicematch.tracking.elsewhere import Elsewhere
 from slicematch.tracking.fixes import PlacedFix, deviation_of
@@ -52,7 +53,8 @@ class Tracker:
     Parameters
     ----------
     localizer : Localizer
-        A run on tiles with north up.
+        A run on tiles with north up. Of an ensemble the first network alone follows: a frame has
+        little time.
     aerial_map : AerialMap
         Of the drive.
     start : PlaceOnGlobe
@@ -99,7 +101,7 @@ class Tracker:
         settings: TrackSettings | None = None,
         cache: str | Path | None = None,
     ) -> None:
-        self.localizer = localizer
+        localizer = self.localizer = localizer.alone()
         self.settings = settings or TrackSettings()
         self.scorer = LocalScorer(localizer, cache)
         self.tiles = TrackTiles(
@@ -260,7 +262,7 @@ class Tracker:
         ground = None
         if image is not None:
             try:
-                ground = self.localizer.encode_ground(image)
+                ground = only(self.localizer.encode_ground(image))
             except ImageError as error:
                 self._say(f"the image is not used: {error}")
         if not self.hypotheses:

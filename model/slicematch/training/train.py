@@ -21,7 +21,7 @@ from slicematch.data import OWN
 from slicematch.data.dataset import BadSampleLog, PoseDataset
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.calibration import calibrate
-from slicematch.localization.localizer import load_candidates
+from slicematch.localization.members import load_candidates
 from slicematch.network.encoders import encoder_normalisation
 from slicematch.network.slicematch import SliceMatch
 from slicematch.runs.config import TrainConfig, plain
