@@ -25,14 +25,18 @@ ANSWERS = 3
 Answer = Callable[[], object]
 
 
-def fast(cache: str) -> Answer:
-    """The run that ships, which is `--recipe fast`: from pictures to an answer, refined."""
-    localizer = Localizer.load("generated-city", grid=GRID, cache=cache)
-    random = np.random.default_rng(0)
-    ground, aerial = (
-        random.integers(0, 256, shape, np.uint8) for shape in ((512, 1024, 3), (640, 640, 3))
-    )
-    return lambda: localizer.localize(ground, aerial)
+def shipped(alone: bool) -> Callable[[str], Answer]:
+    """The run that ships, or its first network, `--recipe fast`: from pictures to an answer."""
+
+    def load(cache: str) -> Answer:
+        localizer = Localizer.load("generated-city", grid=GRID, cache=cache, alone=alone)
+        random = np.random.default_rng(0)
+        ground, aerial = (
+            random.integers(0, 256, shape, np.uint8) for shape in ((512, 1024, 3), (640, 640, 3))
+        )
+        return lambda: localizer.localize(ground, aerial)
+
+    return load
 
 
 def ours(encoder: str, cross_view_attention: bool = True) -> Callable[[str], Answer]:
@@ -65,7 +69,8 @@ def features(encoder: str) -> Callable[[str], Answer]:
 
 
 SIDES: dict[str, tuple[str, Callable[[str], Answer]]] = {
-    "fast": ("--recipe fast, from pictures to the refined answer", fast),
+    "fast": ("--recipe fast, from pictures to the refined answer", shipped(alone=True)),
+    "generated_city": ("generated-city, two such networks", shipped(alone=False)),
     "peers": (
         "efficientnet_b0's features of 320x640 and 512x512: HC-Net's and CCVPE's backbone and "
         "sizes, nothing after it",

@@ -1,13 +1,19 @@
 """How the run that ships was trained: generated places alone, on a processor.
 
-``python -m benchmarks.ship`` generates places of great variety, trains a small pretrained encoder
-on them, trains on from there on more places, half of them plain, takes the mean of both trainings'
-weights (Wortsman and others, *Robust fine-tuning of zero-shot models*, CVPR 2022), tempers its
-probabilities for photographs, and packs the result. What is there already is not done again, and a
-training that was cut short goes on, so it may take several sittings. Processor time is printed at
-the end of each step.
+``python -m benchmarks.ship`` trains two networks on generated places, and packs them together:
+
+- With bands of range: on places of great variety, from there on more places, half of them plain,
+  and the mean of both trainings' weights (Wortsman and others, *Robust fine-tuning of zero-shot
+  models*, CVPR 2022).
+- With whole slices: on places nearly half of which are plain. It finds what the first one does not,
+  such as crossings, and the other way round.
+
+Probabilities are tempered for photographs. What is there already is not done again, and a training
+that was cut short goes on, so it may take several sittings. Processor time is printed at the end of
+each step.
 """
 
+import csv
 import json
 import shutil
 from pathlib import Path
@@ -17,24 +23,39 @@ import torch
 
 from benchmarks.commands import slicemask
 
-CITY = (
+PLAIN = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
-    "--vary", "all", "--seed", "23",
 )  # fmt: skip
-VARIED = ("--panoramas", "1500", "--places", "30")
-MIXED = ("--panoramas", "5000", "--places", "100", "--plain-places", "40")
+VARIED = (*PLAIN, "--vary", "all")
+# By the names of their folders.
+PLACES = {
+    "varied": (*VARIED, "--seed", "23", "--panoramas", "1500", "--places", "30"),
+    "mixed": (
+        *VARIED, "--seed", "23", "--panoramas", "5000", "--places", "100", "--plain-places", "40",
+    ),
+    "plain": (*PLAIN, "--seed", "1", "--panoramas", "800"),
+    "plain11": (*PLAIN, "--seed", "11", "--panoramas", "400"),
+    "plain12": (*PLAIN, "--seed", "12", "--panoramas", "400"),
+    "plain13": (*PLAIN, "--seed", "13", "--panoramas", "400"),
+    "plain14": (*PLAIN, "--seed", "14", "--panoramas", "400"),
+    "further": (*VARIED, "--seed", "71", "--panoramas", "3000", "--places", "100"),
+    "unseen": (*VARIED, "--seed", "29", "--panoramas", "640", "--places", "32"),
+}  # fmt: skip
+OF_WHOLE_SLICES = ("plain", "plain11", "plain12", "plain13", "plain14", "further")
 TRAINING = (
+    "--schedule", "one-cycle", "--augment", "--test-grid", "14x14x32", "--heat-map-every", "0",
+    "--workers", "1", "--accelerator", "cpu", "--seed", "0",
+)  # fmt: skip
+OF_VIGOR = (
     "--data", "vigor", "--split", "cross-area", "--cities", "NewYork,SanFrancisco",
-    "--batch-size", "4", "--schedule", "one-cycle", "--augment", "--validation-fraction", "0.05",
-    "--test-grid", "14x14x32", "--heat-map-every", "0", "--workers", "1", "--accelerator", "cpu",
-    "--seed", "0",
+    "--batch-size", "4", "--validation-fraction", "0.05",
 )  # fmt: skip
 NETWORK = (
     "--encoder", "tf_efficientnet_lite0", "--weights", "imagenet", "--stride", "8",
     "--pyramid", "64", "--pyramid-to", "16", "--ground-size", "128,512", "--elevations=-30,30",
-    "--aerial-size", "256", "--slices", "32", "--bands", "6,12,24", "--no-cross-view-attention",
-    "--alpha", "K",
+    "--aerial-size", "256", "--no-cross-view-attention",
 )  # fmt: skip
+BANDS = ("--slices", "32", "--bands", "6,12,24", "--alpha", "K")
 # The grid that most answers are asked on, and so the one that the temperature is fitted to.
 GRID = "21x21x64"
 # Photographs are harder than generated places, and scores surer of them than they should be. With
@@ -48,22 +69,73 @@ PHOTOGRAPHS = 1.35
 @click.option("--out", default="runs/ship/generated-city", show_default=True, help="Packed run.")
 def main(work: str, out: str) -> None:
     """Generate, train, average and pack the run that ships."""
-    varied, mixed = Path(work) / "varied", Path(work) / "mixed"
-    first, second, mean = (Path(work) / name for name in ("first", "second", "mean"))
-    _slicemask("synth", *CITY, *VARIED, "--out", str(varied))
-    _train(first, varied, *NETWORK, "--epochs", "11", "--learning-rate", "5e-4")
-    _slicemask("synth", *CITY, *MIXED, "--out", str(mixed))
-    _train(second, mixed, "--init", str(first), "--epochs", "2", "--learning-rate", "2e-4")
+    banded, whole = of_bands(Path(work)), of_whole_slices(Path(work))
+    shutil.rmtree(out, ignore_errors=True)
+    _slicemask(
+        "pack", str(banded), "--with", str(whole), "--checkpoint", "last", "--grid", GRID,
+        "--out", out,
+    )  # fmt: skip
+    # Places that neither network has seen.
+    _slicemask("calibrate", out, "--root", str(_places(Path(work), "unseen")))
+    for run in (Path(out), Path(out) / "members" / whole.name):
+        temper(run / "calibration.json")
+    temper(Path(out) / "ensemble.json")
+
+
+def of_bands(work: Path) -> Path:
+    """The network whose slices are cut into bands."""
+    first, second, mean = (work / name for name in ("first", "second", "mean"))
+    varied = ("--root", str(_places(work, "varied")))
+    _train(first, *OF_VIGOR, *varied, *NETWORK, *BANDS, "--epochs", "11", "--learning-rate", "5e-4")
+    mixed = ("--root", str(_places(work, "mixed")))
+    _train(second, *OF_VIGOR, *mixed, "--init", str(first), "--epochs", "2",
+           "--learning-rate", "2e-4")  # fmt: skip
     average(first, second, mean)
     _slicemask("calibrate", str(mean), "--grid", GRID, "--checkpoint", "last")
-    temper(mean / "calibration.json")
-    shutil.rmtree(out, ignore_errors=True)
-    _slicemask("pack", str(mean), "--checkpoint", "last", "--grid", GRID, "--out", out)
+    return mean
 
 
-def _train(run: Path, data: Path, *flags: str) -> None:
+def of_whole_slices(work: Path) -> Path:
+    """The network whose slices are whole."""
+    run, table = work / "whole", work / "whole.csv"
+    join([as_table(_places(work, name)) for name in OF_WHOLE_SLICES], table)
+    _train(run, "--data", "table", "--root", str(table), *NETWORK, "--slices", "16",
+           "--batch-size", "8", "--validation-fraction", "0.02", "--epochs", "3",
+           "--learning-rate", "5e-4")  # fmt: skip
+    _slicemask("calibrate", str(run), "--grid", GRID, "--checkpoint", "last")
+    return run
+
+
+def _places(work: Path, name: str) -> Path:
+    """The folder of generated places, which `synth` fills where it is not yet full."""
+    _slicemask("synth", *PLACES[name], "--out", str(work / name))
+    return work / name
+
+
+def _train(run: Path, *flags: str) -> None:
     if not (run / "calibration.json").exists():
-        _slicemask("train", *TRAINING, *flags, "--root", str(data), "--out", str(run), "--resume")
+        _slicemask("train", *TRAINING, *flags, "--out", str(run), "--resume")
+
+
+def as_table(root: Path) -> Path:
+    """All pairs of generated places as a table beside their folder."""
+    table = root.with_suffix(".csv")
+    _slicemask("table", "from-vigor", str(root), "--split", "same-area", "--cities", "NewYork",
+               "--out", str(table), "--overwrite")  # fmt: skip
+    return table
+
+
+def join(tables: list[Path], joined: Path) -> None:
+    """One table of all pairs, to train on; identifiers begin with their table's name."""
+    rows = []
+    for table in tables:
+        with table.open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                rows.append({**row, "split": "train", "id": f"{table.stem}/{row['id']}"})
+    with joined.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def average(first: Path, second: Path, mean: Path) -> None:

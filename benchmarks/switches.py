@@ -27,10 +27,10 @@ SIZES = ("--format", "vigor", "--panorama-size", "512x256", "--tile-size", "320"
 PLACES = (*SIZES, "--cities", "1", "--seed", "31", "--panoramas", "200", "--places", "10")
 # Of the plain cities the second is the one that is asked.
 PLAIN = (*SIZES, "--cities", "2", "--seed", "1", "--panoramas", "100")
-# The network that ships, on half as many columns and slices.
+# The network with bands that ships, on half as many columns and slices.
 TRAINING = (
-    *ship.TRAINING, *ship.NETWORK, "--ground-size", "128,256", "--slices", "16",
-    "--learning-rate", "5e-4", "--epochs", "5",
+    *ship.TRAINING, *ship.OF_VIGOR, *ship.NETWORK, *ship.BANDS,
+    "--ground-size", "128,256", "--slices", "16", "--learning-rate", "5e-4", "--epochs", "5",
 )  # fmt: skip
 TEST = ("--grid", ship.GRID, "--checkpoint", "last", "--refine", "mean", "--limit", "100")
 ROWS = ("none", *SWITCHES, "all")

@@ -54,7 +54,7 @@ def main(
 ) -> None:
     """Print the table, and keep it as JSON; it is written anew after each drive."""
     torch.set_num_threads(1)
-    localizer = Localizer.load(run, cache=cache, grid="21x21x64")
+    localizer = Localizer.load(run, cache=cache, grid="21x21x64", alone=True)
     aerial_map = AerialMap.open(Path(root) / "map.tif")
     asked = {"run": run, "root": str(Path(root).resolve()), "single_every": single_every}
     found = []

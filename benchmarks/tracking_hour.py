@@ -29,7 +29,7 @@ EVERY = 1000
 def main(run: str, root: str, times: int, cache: str | None) -> None:
     """Drive, and print what it takes."""
     torch.set_num_threads(1)
-    localizer = Localizer.load(run, cache=cache)
+    localizer = Localizer.load(run, cache=cache, alone=True)
     drives = [
         list(open_drive(path, localizer.config)) for path in sorted(Path(root).glob("drive_*.csv"))
     ]

@@ -43,7 +43,7 @@ class TrackNode(Node):
         for name, value in (("run", "generated-city"), ("map", "ortho.tif"), ("device", "auto")):
             self.declare_parameter(name, value)
         run, path, device = (self.get_parameter(name).value for name in ("run", "map", "device"))
-        self.localizer = Localizer.load(run, grid="2x2x4", device=device)
+        self.localizer = Localizer.load(run, grid="2x2x4", device=device, alone=True)
         self.map = AerialMap.open(path)
         self.tracker: Tracker | None = None
         self.motion: list[tuple[float, float]] = []

@@ -9,7 +9,7 @@ from typing import Any, cast
 import torch
 from PIL import Image
 
-from slicemask import Frustum, PoseGrid, build_bank
+from slicemask import Frustum, PoseGrid
 from slicemask.images import Picture, name_of, read_aerial, read_image, resize
 from slicematch.data.elevations import crop_elevations, frame_ground
 from slicematch.data.images import normalise
@@ -21,9 +21,8 @@ from slicematch.localization.members import (
     Encoded,
     EncodedPairs,
     Member,
-    check_sees_alike,
     joined,
-    load_candidates,
+    load_members,
     weights_of,
 )
 from slicematch.localization.modes import Mode, find_modes
@@ -162,40 +161,20 @@ class Localizer:
         """
         if bank is not None and grid is not None:
             raise ConfigError("give either a bank or a grid; a bank has its own grid")
-        folder = RunFolder(find_run(run))
-        config, model = folder.load_model(checkpoint)
-        fitted = folder.load_calibration(config)
-        chosen = choose_device(device)
-        model.for_inference(chosen, precision)
-        if bank is None:
-            poses = config.grid("test_grid", grid)
-            bank = build_bank(poses, config.frustum(), model.cells, cache=cache).path
-        candidates, poses = load_candidates(bank, config.frustum(), model.cells)
-        networks = [(model, candidates.to(chosen), config.frustum())]
-        temperatures = [config.tau if fitted is None else fitted.temperature]
-        for other in [] if alone else folder.members():
-            theirs, model = other.load_model()
-            check_sees_alike(config, theirs, str(other.path))
-            known = other.load_calibration(theirs)
-            model.for_inference(chosen, precision)
-            bank = build_bank(poses, theirs.frustum(), model.cells, cache=cache).path
-            candidates, _ = load_candidates(bank, theirs.frustum(), model.cells)
-            networks.append((model, candidates.to(chosen), theirs.frustum()))
-            temperatures.append(theirs.tau if known is None else known.temperature)
-        weights, temperature = weights_of(temperatures)
-        if len(networks) > 1:
-            fitted = folder.load_calibration(config, ensemble=True)
-            temperature = temperature if fitted is None else fitted.temperature
+        folder, chosen = RunFolder(find_run(run)), choose_device(device)
+        folders = [folder] if alone else [folder, *folder.members()]
+        members, poses, config = load_members(
+            folders, bank, grid, checkpoint, chosen, precision, cache
+        )
+        fitted = folder.load_calibration(config, ensemble=len(members) > 1)
+        _, temperature = weights_of([member.temperature for member in members])
         return cls(
-            [
-                Member(*network, weight, own)
-                for network, weight, own in zip(networks, weights, temperatures, strict=True)
-            ],
+            members,
             poses,
             config,
             chosen,
             refine,
-            temperature,
+            temperature if fitted is None else fitted.temperature,
             calibrated=fitted is not None and fitted.matches(poses, checkpoint),
         )
 
@@ -481,7 +460,10 @@ class Localizer:
         key = self._priors(heading_prior, place_prior)
         if key not in self._within:
             _warn_of_slips(*key)
-            found = [member.candidates.within(*key) for member in self.members]
+            # Networks that take the same masks share them.
+            each = {id(one.candidates): one.candidates for one in self.members}
+            fitting = {number: one.within(*key) for number, one in each.items()}
+            found = [fitting[id(member.candidates)] for member in self.members]
             if len(self._within) >= _PRIORS_KEPT:
                 del self._within[next(iter(self._within))]  # the oldest
             self._within[key] = found

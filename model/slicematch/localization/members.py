@@ -13,10 +13,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from slicemask import Frustum, PoseGrid, open_bank
+from slicemask import Frustum, PoseGrid, build_bank, open_bank
 from slicematch.errors import ConfigError
 from slicematch.network.slicematch import SliceMatch
+from slicematch.precision import Precision
 from slicematch.runs.config import TrainConfig
+from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.scoring.candidates import Candidates
 from slicematch.scoring.off_grid import JointScorer, PairScorer
 from slicematch.scoring.scores import score_candidates
@@ -67,11 +69,11 @@ def check_sees_alike(first: TrainConfig, other: TrainConfig, name: str) -> None:
     ConfigError
         Naming the setting that differs.
     """
-    settings = {name: (getattr(first, name), getattr(other, name)) for name in _SEEN}
+    settings = {setting: (getattr(first, setting), getattr(other, setting)) for setting in _SEEN}
     settings["normalisation"] = first.normalisation(), other.normalisation()
-    sides = first.tile_side_m, other.tile_side_m
-    if None in sides or abs(sides[0] / sides[1] - 1) > _SIDE_TOLERANCE:  # type: ignore[operator]
-        settings["tile_side_m"] = sides
+    ours, theirs = first.tile_side_m, other.tile_side_m
+    if ours is None or theirs is None or abs(ours / theirs - 1) > _SIDE_TOLERANCE:
+        settings["tile_side_m"] = ours, theirs
     for setting, (ours, theirs) in settings.items():
         if ours != theirs:
             raise ConfigError(
@@ -202,6 +204,58 @@ class EncodedPairs:
         if len(scorers) == 1:
             return scorers[0]
         return JointScorer(tuple(scorers), tuple(member.weight for member in self.members))
+
+
+def load_members(
+    folders: Sequence[RunFolder],
+    bank: str | Path | None,
+    grid: str | None,
+    checkpoint: Checkpoint,
+    device: torch.device,
+    precision: Precision,
+    cache: str | Path | None,
+) -> tuple[list[Member], PoseGrid, TrainConfig]:
+    """Load networks that answer together, their candidates' grid, and the first one's settings.
+
+    Parameters
+    ----------
+    folders : sequence of RunFolder
+        The first network's, whose checkpoint is asked for, and packed ones.
+    bank, grid, checkpoint, device, precision, cache
+        As `Localizer.load` takes them.
+
+    Raises
+    ------
+    RunError, ConfigError, BankError
+        As there.
+    """
+    loaded = [
+        folder.load_model(checkpoint if number == 0 else "best")
+        for number, folder in enumerate(folders)
+    ]
+    first, model = loaded[0]
+    if bank is None:
+        bank = build_bank(
+            first.grid("test_grid", grid), first.frustum(), model.cells, cache=cache
+        ).path
+    candidates, poses = load_candidates(bank, first.frustum(), model.cells)
+    # Networks with the same masks share them.
+    laid_out = {(first.frustum(), model.cells): candidates.to(device)}
+    temperatures = []
+    for folder, (config, model) in zip(folders, loaded, strict=True):
+        check_sees_alike(first, config, str(folder.path))
+        fitted, masks = folder.load_calibration(config), (config.frustum(), model.cells)
+        temperatures.append(config.tau if fitted is None else fitted.temperature)
+        model.for_inference(device, precision)
+        if masks not in laid_out:
+            bank = build_bank(poses, *masks, cache=cache).path
+            laid_out[masks] = load_candidates(bank, *masks)[0].to(device)
+    weights, _ = weights_of(temperatures)
+    members = [
+        Member(model, laid_out[config.frustum(), model.cells], config.frustum(), weight, own)
+        for (config, model), weight, own in zip(loaded, weights, temperatures, strict=True)
+    ]
+    return members, poses, first
 
 
 def load_candidates(path: str | Path, frustum: Frustum, cells: int) -> tuple[Candidates, PoseGrid]:

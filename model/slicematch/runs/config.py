@@ -377,8 +377,15 @@ class TrainConfig:
         return cls(**shared)
 
     @classmethod
-    def load(cls, path: str | Path) -> "TrainConfig":
+    def load(cls, path: str | Path, settings: Mapping[str, Any] | None = None) -> "TrainConfig":
         """Read settings from a YAML file.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        settings : mapping, optional
+            What it holds, where it has been read before.
 
         Raises
         ------
@@ -386,7 +393,7 @@ class TrainConfig:
             If it is unreadable, or a setting is invalid; the message names the file.
         """
         try:
-            return cls.from_dict(read_settings(path))
+            return cls.from_dict(read_settings(path) if settings is None else settings)
         except ConfigError as error:
             raise ConfigError(str(error) if str(path) in str(error) else f"{path}: {error}") from (
                 error

@@ -153,8 +153,7 @@ class RunFolder:
                 f"{self.path}: is no run folder, since it has no {self.config_file.name}; name "
                 f"one that `slicemask train` wrote{_or_shipped()}"
             )
-        self.read_settings()
-        return TrainConfig.load(self.config_file)
+        return TrainConfig.load(self.config_file, self.read_settings())
 
     def read_settings(self) -> dict[str, Any]:
         """The run's settings as they stand in its file, of any version.

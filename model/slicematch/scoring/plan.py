@@ -22,24 +22,26 @@ _PADDED = 8
 
 
 def as_means(masks: Masks) -> Masks:
-    """CSR rows whose fractions sum to 1, so that pooling gives the mean of eq. 4.
+    """CSR rows whose fractions sum to 1, on the CPU, so that pooling gives the mean of eq. 4.
 
     A mask may cover no more than a millionth of a cell. Its sum of features would then be too
     short for float32 to square; its mean is as long as any other.
     """
     starts, cells, fractions = masks
-    means = torch.empty_like(fractions)
-    for first in range(0, len(starts) - 1, _ROWS):
-        ends = starts[first : first + _ROWS + 1]
-        begin, end = int(ends[0]), int(ends[-1])
-        lengths = (ends[1:] - ends[:-1]).long()
-        rows = torch.repeat_interleave(
-            torch.arange(len(lengths), device=starts.device), lengths, output_size=end - begin
+    ends, values = starts.numpy(), fractions.numpy()
+    means = np.empty_like(values)
+    for first in range(0, len(ends) - 1, _ROWS):
+        some = ends[first : first + _ROWS + 1]
+        part = values[some[0] : some[-1]]
+        # The zero stands where empty rows at the end begin.
+        areas = np.add.reduceat(np.append(part, 0), some[:-1] - some[0], dtype=np.float64)
+        np.divide(
+            part,
+            np.repeat(areas, np.diff(some)),
+            out=means[some[0] : some[-1]],
+            casting="same_kind",
         )
-        areas = torch.zeros(len(lengths), dtype=torch.float64, device=starts.device)
-        areas.index_add_(0, rows, fractions[begin:end].double())
-        means[begin:end] = fractions[begin:end] / areas[rows]
-    return starts, cells, means
+    return starts, cells, torch.from_numpy(means)
 
 
 @dataclass(frozen=True)
