@@ -17,11 +17,17 @@ import csv
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import click
+import numpy as np
 import torch
+from PIL import Image
+from slicematch import calibrate
+from torch.utils.data import Dataset
 
 from benchmarks.commands import slicemask
+from slicemask.images import read_image
 
 PLAIN = (
     "--format", "vigor", "--cities", "1", "--panorama-size", "512x256", "--tile-size", "320",
@@ -39,6 +45,7 @@ PLACES = {
     "plain13": (*PLAIN, "--seed", "13", "--panoramas", "400"),
     "plain14": (*PLAIN, "--seed", "14", "--panoramas", "400"),
     "further": (*VARIED, "--seed", "71", "--panoramas", "3000", "--places", "100"),
+    # By neither network.
     "unseen": (*VARIED, "--seed", "29", "--panoramas", "640", "--places", "32"),
 }  # fmt: skip
 OF_WHOLE_SLICES = ("plain", "plain11", "plain12", "plain13", "plain14", "further")
@@ -75,11 +82,35 @@ def main(work: str, out: str) -> None:
         "pack", str(banded), "--with", str(whole), "--checkpoint", "last", "--grid", GRID,
         "--out", out,
     )  # fmt: skip
-    # Places that neither network has seen.
-    _slicemask("calibrate", out, "--root", str(_places(Path(work), "unseen")))
     for run in (Path(out), Path(out) / "members" / whole.name):
         temper(run / "calibration.json")
+    table = as_table(_places(Path(work), "unseen"))
+    calibrate(out, dataset=TurnedPairs(table), device="cpu", workers=1)
     temper(Path(out) / "ensemble.json")
+
+
+class TurnedPairs(Dataset[dict[str, Any]]):
+    """Pairs of a table as `calibrate` takes a program's own, with panoramas that face anywhere."""
+
+    def __init__(self, table: Path) -> None:
+        self.folder = table.parent
+        with table.open(encoding="utf-8", newline="") as file:
+            self.rows = list(csv.DictReader(file))
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        row = self.rows[index]
+        panorama = np.asarray(read_image(self.folder / row["ground"]))
+        turn = int(np.random.default_rng(index).integers(panorama.shape[1]))
+        heading_deg = float(row["heading_deg"]) + 360.0 * turn / panorama.shape[1]
+        return {
+            "ground": Image.fromarray(np.roll(panorama, -turn, axis=1)),
+            "aerial": read_image(self.folder / row["tile"]),
+            "pose": (float(row["u"]), float(row["v"]), heading_deg % 360.0),
+            "metres_per_pixel": float(row["metres_per_pixel"]),
+        }
 
 
 def of_bands(work: Path) -> Path:

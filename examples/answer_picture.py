@@ -10,7 +10,6 @@ from pathlib import Path
 
 import click
 import numpy as np
-import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -71,9 +70,8 @@ def main(run: Path, out: Path, sample: int, root: str | None, grid: str) -> None
     config = localizer.config
     dataset = config.dataset("test", root)
     truth, side_m = dataset.poses()[sample], float(dataset.tile_metres[sample])
-    with torch.no_grad():
-        ground = localizer.model.encode_ground(dataset[sample]["ground"][None])
-        aerial = localizer.model.encode_aerial(dataset[sample]["aerial"][None])
+    ground = localizer.encode_ground_pixels(dataset[sample]["ground"][None])
+    aerial = localizer.encode_aerial_pixels(dataset[sample]["aerial"][None])
     (estimate,) = localizer.estimate(ground, aerial, [config.aerial_size], [side_m])
     # The same sample, larger than the network takes it.
     shown = replace(config, ground_size=(256, 512), aerial_size=512).dataset("test", root)[sample]

@@ -268,7 +268,7 @@ def calibrate(
     scores, truths = scores[:read], truths[:read]
     temperature, _ = fit_temperature(scores, truths)
     if read < FEW_SAMPLES:
-        expected = _expected_temperature(config)
+        expected = localizer.temperature if ensemble else _expected_temperature(config)
         temperature = temperature ** (read / FEW_SAMPLES) * expected ** (1 - read / FEW_SAMPLES)
     content = {
         "temperature": temperature,
@@ -278,15 +278,24 @@ def calibrate(
         "grid": str(localizer.grid),
         "checkpoint": checkpoint,
     }
+    if ensemble:
+        content["members"] = [member.temperature for member in localizer.members]
     if read < FEW_SAMPLES:
         content["caution"] = (
             f"fitted to only {read} validation samples, and held near {expected:.4g}, which "
-            f"{'the loss' if config.init is None else config.init} has; probabilities are rough "
+            f"{_holder(config, ensemble)}; probabilities are rough "
             f"with fewer than {FEW_SAMPLES}: set more aside for validation in training"
         )
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_text(file, text, RunError)
     return content
+
+
+def _holder(config: TrainConfig, ensemble: bool) -> str:
+    """What has the temperature that was expected, for a sentence."""
+    if ensemble:
+        return "its networks come to"
+    return f"{'the loss' if config.init is None else config.init} has"
 
 
 def _expected_temperature(config: TrainConfig) -> float:

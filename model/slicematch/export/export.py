@@ -1,6 +1,7 @@
 """A trained run as files that other runtimes run, checked against PyTorch before they are kept."""
 
 import json
+import logging
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +32,10 @@ from slicematch.export.graphs import AerialGraph, BakedScoreGraph, GroundGraph, 
 from slicematch.export.masks import MaskTables, mask_tables
 from slicematch.export.variants import Variant, write_variant
 from slicematch.localization.localizer import Localizer
-from slicematch.runs.folder import Checkpoint
+from slicematch.runs.folder import Checkpoint, RunFolder
+from slicematch.runs.shipped import find_run
+
+log = logging.getLogger(__name__)
 
 # How far results may lie from PyTorch's: scores, and values over the largest of them.
 TOLERANCE = 1e-5
@@ -79,7 +83,8 @@ def export(
     Parameters
     ----------
     run : path or str
-        A run folder, or the name of a run that comes with slicemask.
+        A run folder, or the name of a run that comes with slicemask. Of an ensemble the first
+        network is written.
     out : path
         The folder to write, new or empty. It appears whole or not at all.
     format : {"onnx", "torch-export"}
@@ -137,6 +142,14 @@ def export(
         refine="none",
         alone=True,
     )
+    others = RunFolder(find_run(run)).members()
+    if others:
+        log.warning(
+            "%s is an ensemble, and the files hold its first network alone, which answers otherwise"
+            " than all of them together; %s can be exported likewise",
+            run,
+            " and ".join(str(folder.path) for folder in others),
+        )
     test = _read_pairs(localizer, "test", root, samples) if variants else None
     tuning = None
     if "int8" in variants:

@@ -166,17 +166,14 @@ class Localizer:
         members, poses, config = load_members(
             folders, bank, grid, checkpoint, chosen, precision, cache
         )
-        fitted = folder.load_calibration(config, ensemble=len(members) > 1)
-        _, temperature = weights_of([member.temperature for member in members])
-        return cls(
-            members,
-            poses,
-            config,
-            chosen,
-            refine,
-            temperature if fitted is None else fitted.temperature,
-            calibrated=fitted is not None and fitted.matches(poses, checkpoint),
-        )
+        own = tuple(member.temperature for member in members)
+        _, temperature = weights_of(own)
+        calibrated = members[0].calibrated
+        if len(members) > 1:
+            fitted = folder.load_calibration(config, ensemble=True)
+            calibrated = fitted is not None and fitted.matches(poses, checkpoint, own)
+            temperature = temperature if fitted is None else fitted.temperature
+        return cls(members, poses, config, chosen, refine, temperature, calibrated)
 
     def alone(self) -> "Localizer":
         """One that answers with the first network of an ensemble; of one network, itself."""
@@ -184,7 +181,13 @@ class Localizer:
             return self
         first = replace(self.members[0], weight=1.0)
         return Localizer(
-            [first], self.grid, self.config, self.device, self.refine, first.temperature
+            [first],
+            self.grid,
+            self.config,
+            self.device,
+            self.refine,
+            first.temperature,
+            first.calibrated,
         )
 
     def encode_aerial(

@@ -52,6 +52,8 @@ class Member:
         Of its scores; those of all members sum to 1.
     temperature : float
         That makes its own scores probabilities.
+    calibrated : bool
+        Whether it was fitted to its scores of these candidates and weights.
     """
 
     model: SliceMatch
@@ -59,6 +61,7 @@ class Member:
     frustum: Frustum
     weight: float
     temperature: float
+    calibrated: bool
 
 
 def check_sees_alike(first: TrainConfig, other: TrainConfig, name: str) -> None:
@@ -71,9 +74,11 @@ def check_sees_alike(first: TrainConfig, other: TrainConfig, name: str) -> None:
     """
     settings = {setting: (getattr(first, setting), getattr(other, setting)) for setting in _SEEN}
     settings["normalisation"] = first.normalisation(), other.normalisation()
-    ours, theirs = first.tile_side_m, other.tile_side_m
-    if ours is None or theirs is None or abs(ours / theirs - 1) > _SIDE_TOLERANCE:
-        settings["tile_side_m"] = ours, theirs
+    if "kitti" in (first.data, other.data):  # whose tiles are turned with the camera
+        settings["data"] = first.data, other.data
+    side, other_side = first.tile_side_m, other.tile_side_m
+    if side is None or other_side is None or abs(side / other_side - 1) > _SIDE_TOLERANCE:
+        settings["tile_side_m"] = side, other_side
     for setting, (ours, theirs) in settings.items():
         if ours != theirs:
             raise ConfigError(
@@ -234,6 +239,8 @@ def load_members(
         for number, folder in enumerate(folders)
     ]
     first, model = loaded[0]
+    for folder, (config, _) in zip(folders[1:], loaded[1:], strict=True):
+        check_sees_alike(first, config, str(folder.path))
     if bank is None:
         bank = build_bank(
             first.grid("test_grid", grid), first.frustum(), model.cells, cache=cache
@@ -241,19 +248,34 @@ def load_members(
     candidates, poses = load_candidates(bank, first.frustum(), model.cells)
     # Networks with the same masks share them.
     laid_out = {(first.frustum(), model.cells): candidates.to(device)}
-    temperatures = []
-    for folder, (config, model) in zip(folders, loaded, strict=True):
-        check_sees_alike(first, config, str(folder.path))
-        fitted, masks = folder.load_calibration(config), (config.frustum(), model.cells)
-        temperatures.append(config.tau if fitted is None else fitted.temperature)
+    for config, model in loaded:
         model.for_inference(device, precision)
+        masks = config.frustum(), model.cells
         if masks not in laid_out:
             bank = build_bank(poses, *masks, cache=cache).path
             laid_out[masks] = load_candidates(bank, *masks)[0].to(device)
+    fitted = [
+        folder.load_calibration(config) for folder, (config, _) in zip(folders, loaded, strict=True)
+    ]
+    # Fitted temperatures and the loss's cannot be weighed against each other.
+    all_fitted = all(one is not None for one in fitted)
+    temperatures = [
+        one.temperature if all_fitted and one is not None else config.tau
+        for one, (config, _) in zip(fitted, loaded, strict=True)
+    ]
     weights, _ = weights_of(temperatures)
     members = [
-        Member(model, laid_out[config.frustum(), model.cells], config.frustum(), weight, own)
-        for (config, model), weight, own in zip(loaded, weights, temperatures, strict=True)
+        Member(
+            model,
+            laid_out[config.frustum(), model.cells],
+            config.frustum(),
+            weights[number],
+            temperatures[number],
+            calibrated=all_fitted
+            and (one := fitted[number]) is not None
+            and one.matches(poses, checkpoint if number == 0 else "best"),
+        )
+        for number, (config, model) in enumerate(loaded)
     ]
     return members, poses, first
 

@@ -64,15 +64,20 @@ class FittedTemperature:
         Of the candidates.
     checkpoint : {"best", "last"}
         Of the weights.
+    members : tuple of float
+        Of an ensemble, its networks' own temperatures at that time.
     """
 
     temperature: float
     grid: PoseGrid
     checkpoint: Checkpoint
+    members: tuple[float, ...] = ()
 
-    def matches(self, grid: PoseGrid, checkpoint: Checkpoint) -> bool:
+    def matches(
+        self, grid: PoseGrid, checkpoint: Checkpoint, members: tuple[float, ...] = ()
+    ) -> bool:
         """Whether scores of these candidates and weights are those that it was fitted to."""
-        return (grid, checkpoint) == (self.grid, self.checkpoint)
+        return (grid, checkpoint, members) == (self.grid, self.checkpoint, self.members)
 
 
 @dataclass(frozen=True)
@@ -118,9 +123,20 @@ class RunFolder:
         return self.path / "members"
 
     def members(self) -> list["RunFolder"]:
-        """The further networks of an ensemble, in the order of their names; of others none."""
-        files = sorted(self.members_folder.glob("*/config.yaml"))
-        return [RunFolder(file.parent) for file in files]
+        """The further networks of an ensemble, in the order of their names; of others none.
+
+        Raises
+        ------
+        RunError
+            If the run is what is left of an ensemble.
+        """
+        folders = sorted(path for path in self.members_folder.glob("*") if path.is_dir())
+        if self.ensemble_file.is_file() and not folders:
+            raise RunError(
+                f"{self.ensemble_file}: is of an ensemble, and {self.members_folder} holds no "
+                "network; copy the ensemble whole, or remove the file"
+            )
+        return [RunFolder(folder) for folder in folders]
 
     @property
     def stages_file(self) -> Path:
@@ -201,6 +217,9 @@ class RunFolder:
             If the file that should hold it does not.
         """
         file = self.ensemble_file if ensemble else self.calibration_file
+        again = "write it again with `slicemask calibrate`"
+        if not ensemble and self.members():  # which `calibrate` fits to all of them together
+            again = "pack the run again"
         try:
             content = json.loads(file.read_text("utf-8"))
             temperature, checkpoint = content["temperature"], content["checkpoint"]
@@ -209,14 +228,15 @@ class RunFolder:
             if checkpoint not in get_args(Checkpoint):
                 raise ValueError(f"checkpoint is {checkpoint!r}")
             grid = config.grid("test_grid", str(content["grid"]))
+            members = tuple(map(float, content.get("members", ())))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise RunError(
                 f"{file}: holds no temperature greater than 0 with its grid and "
-                f"checkpoint ({error!r}); remove it, or write it again with `slicemask calibrate`"
+                f"checkpoint ({error!r}); remove it, or {again}"
             ) from error
-        return FittedTemperature(temperature, grid, checkpoint)
+        return FittedTemperature(temperature, grid, checkpoint, members)
 
     def save_stages(self, model: SliceMatch) -> None:
         """Keep what the encoders of a model give."""

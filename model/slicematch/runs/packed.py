@@ -15,6 +15,8 @@
 Commands and functions that only read a run take a packed one as they take a run folder.
 """
 
+import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -70,14 +72,40 @@ def pack(
     slicemask.errors.SpecError
         If the grid is invalid.
     """
+    target = check_folder(out, RunError)
+    if target.exists() and any(target.iterdir()):
+        raise RunError(f"{target}: is not empty; name another folder")
     source = RunFolder(find_run(run))
-    config, model = source.load_model(checkpoint)
-    if grid is not None:
-        config = replace(config, test_grid=grid)
+    config = source.load_config()
+    others = _members_by_name([*(one.path for one in source.members()), *members], config)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = RunFolder(target.with_name(f".{target.name}.{os.getpid()}.partial"))
+    try:
+        _write(source, partial, checkpoint, grid)
+        for name, member in others.items():
+            _write(member, RunFolder(partial.members_folder / name), checkpoint)
+        if not members and source.load_calibration(config, ensemble=True) is not None:
+            _copy_text(source.ensemble_file, partial.ensemble_file)
+        os.replace(partial.path, target)
+    except OSError as error:
+        if isinstance(error, RunError):
+            raise
+        raise RunError(
+            f"{target}: cannot be written ({error.strerror or error}); name another folder"
+        ) from error
+    finally:
+        shutil.rmtree(partial.path, ignore_errors=True)
+    return target
+
+
+def _write(
+    source: RunFolder, target: RunFolder, which: Checkpoint, grid: str | None = None
+) -> None:
+    """Pack one network into a new folder."""
+    if not source.checkpoint(which).exists() and source.packed_weights.is_file():
+        which = "best"  # all that a packed run has
+    config, model = source.load_model(which)
     fitted = source.load_calibration(config)
-    target = RunFolder(check_folder(out, RunError))
-    if target.path.exists() and any(target.path.iterdir()):
-        raise RunError(f"{target.path}: is not empty; name another folder")
     weights = {
         key: (tensor.half() if tensor.is_floating_point() else tensor).contiguous()
         for key, tensor in model.state_dict().items()
@@ -88,37 +116,37 @@ def pack(
             f"{source.path}: its {too_large[0]} is too large for half precision (65504); hand on "
             "the run folder instead"
         )
-    names = _names_of([*(one.path for one in source.members()), *members], config)
-    target.path.mkdir(parents=True, exist_ok=True)
+    target.path.mkdir(parents=True)
     with atomic_write(target.packed_weights, RunError) as partial:
         partial.write_bytes(save(weights))
+    config = config if grid is None else replace(config, test_grid=grid)
     _without_paths(config).save(target.config_file)
     target.save_stages(model)
-    if fitted is not None and fitted.checkpoint == checkpoint:
-        text = source.calibration_file.read_text("utf-8").replace('"last"', '"best"')
-        write_text(target.calibration_file, text, RunError)
-    for name, member in names.items():
-        pack(member, target.members_folder / name, checkpoint)
-    if source.ensemble_file.is_file() and not members:  # fitted to these networks' scores
-        write_text(target.ensemble_file, source.ensemble_file.read_text("utf-8"), RunError)
-    return target.path
+    if fitted is not None and fitted.checkpoint == which:
+        _copy_text(source.calibration_file, target.calibration_file, ('"last"', '"best"'))
 
 
-def _names_of(members: Sequence[str | Path], first: TrainConfig) -> dict[str, str | Path]:
-    """The names of further runs in an ensemble, all of which are found fit before any is packed."""
+def _copy_text(source: Path, target: Path, change: tuple[str, str] = ("", "")) -> None:
+    write_text(target, source.read_text("utf-8").replace(*change), RunError)
+
+
+def _members_by_name(members: Sequence[str | Path], first: TrainConfig) -> dict[str, RunFolder]:
+    """Further runs, each with those that answer with it, by the names of their folders."""
     from slicematch.localization.members import check_sees_alike  # which needs this package
 
-    names: dict[str, str | Path] = {}
-    for member in members:
-        path = find_run(member)
-        if path.name in names:
+    folders = [RunFolder(find_run(member).resolve()) for member in members]
+    folders = [one for folder in folders for one in (folder, *folder.members())]
+    found: dict[str, RunFolder] = {}
+    for folder in folders:
+        check_sees_alike(first, folder.load_config(), str(folder.path))
+        # Some file systems tell names apart by their letters alone, not by their case.
+        if folder.path.name.casefold() in map(str.casefold, found):
             raise ConfigError(
-                f"{member}: another run of the name {path.name!r} is in the ensemble; give one of "
-                "the folders another name"
+                f"{folder.path}: another run of the name {folder.path.name!r} is in the ensemble; "
+                "give one of the folders another name"
             )
-        check_sees_alike(first, RunFolder(path).load_config(), str(member))
-        names[path.name] = member
-    return names
+        found[folder.path.name] = folder
+    return found
 
 
 def _without_paths(config: TrainConfig) -> TrainConfig:

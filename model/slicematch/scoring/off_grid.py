@@ -133,7 +133,7 @@ class JointScorer:
         -------
         contributions : float [K, N, B]
             They sum to the score. What another network's slice adds is spread evenly over the
-            angles that it takes up, and over all bands.
+            part of the image that it takes up, and over all bands.
         """
         slices, bands = self.frustum.slices, self.frustum.band_count
         total = torch.zeros((), device=self.scorers[0].features.device)
@@ -150,7 +150,7 @@ class JointScorer:
 
 
 def _overlap(taken: int, given: int) -> Tensor:
-    """The share of each of some equal parts of an angle that lies in each of others, [., .]."""
+    """The share of each of some equal parts of a whole that lies in each of others, [., .]."""
     edges, others = torch.arange(taken + 1) / taken, torch.arange(given + 1) / given
     high = torch.minimum(edges[1:, None], others[1:])
     return (high - torch.maximum(edges[:-1, None], others[:-1])).clamp_min(0) * taken

@@ -34,7 +34,7 @@ def as_means(masks: Masks) -> Masks:
         some = ends[first : first + _ROWS + 1]
         part = values[some[0] : some[-1]]
         # The zero stands where empty rows at the end begin.
-        areas = np.add.reduceat(np.append(part, 0), some[:-1] - some[0], dtype=np.float64)
+        areas = np.add.reduceat(np.append(part, part.dtype.type(0)), some[:-1] - some[0], dtype=np.float64)
         np.divide(
             part,
             np.repeat(areas, np.diff(some)),

@@ -378,3 +378,15 @@ def test_nothing_of_size_poses_by_slices_by_channels_is_held(tmp_path):
     with Watch():
         score_candidates(ground, aerial, attention, candidates, values_at_once=256 * channels)
     assert 128 * channels <= largest <= poses * slices * channels / 40
+
+
+@pytest.mark.parametrize("rows_at_once", [1, 2, 3, 8192])
+def test_rows_become_means_wherever_empty_ones_are(monkeypatch, rows_at_once):
+    monkeypatch.setattr("slicematch.scoring.plan._ROWS", rows_at_once)
+    starts = torch.tensor([0, 0, 2, 2, 2, 3, 6, 6, 6], dtype=torch.int32)
+    values = torch.tensor([0.25, 0.75, 1e-6, 1.0, 1.0, 2.0])
+    cells = torch.arange(6)
+    _, same, means = as_means((starts, cells, values))
+    assert same is cells
+    assert means.dtype == torch.float32
+    assert means.tolist() == [0.25, 0.75, 1.0, 0.25, 0.25, 0.5]
