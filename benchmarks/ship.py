@@ -23,7 +23,7 @@ import click
 import numpy as np
 import torch
 from PIL import Image
-from slicematch import calibrate
+from slicematch.evaluation.calibration import calibrate
 from torch.utils.data import Dataset
 
 from benchmarks.commands import slicemask

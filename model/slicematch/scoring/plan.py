@@ -33,8 +33,8 @@ def as_means(masks: Masks) -> Masks:
     for first in range(0, len(ends) - 1, _ROWS):
         some = ends[first : first + _ROWS + 1]
         part = values[some[0] : some[-1]]
-        # The zero stands where empty rows at the end begin.
-        areas = np.add.reduceat(np.append(part, part.dtype.type(0)), some[:-1] - some[0], dtype=np.float64)
+        padded = np.append(part, part.dtype.type(0))  # empty rows at the end begin there
+        areas = np.add.reduceat(padded, some[:-1] - some[0], dtype=np.float64)
         np.divide(
             part,
             np.repeat(areas, np.diff(some)),
