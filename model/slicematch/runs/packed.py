@@ -9,8 +9,8 @@
 ``members/NAME/``
     Of an ensemble: further networks that answer with the first, packed likewise.
 ``ensemble.json``
-    The temperature of the scores that they give together (`slicematch.evaluation.calibration`). Without it
-    their own temperatures make one.
+    The temperature of the scores that they give together (`slicematch.evaluation.calibration`).
+    Without it their own temperatures make one.
 
 Commands and functions that only read a run take a packed one as they take a run folder.
 """
