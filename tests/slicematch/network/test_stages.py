@@ -98,9 +98,10 @@ def test_other_faults_of_a_run_are_said_as_they_are(run):
 
 
 def test_what_ships_is_what_a_trial_finds(run):
-    for kept in run.load_stages():
-        found = find_stages(kept.name, kept.image_size, kept.stride, kept.deepest)
-        assert found.to_dict() | {"timm": kept.timm} == kept.to_dict()
+    for one in (run, *run.members()):
+        for kept in one.load_stages():
+            found = find_stages(kept.name, kept.image_size, kept.stride, kept.deepest)
+            assert found.to_dict() | {"timm": kept.timm} == kept.to_dict()
 
 
 @pytest.mark.skipif(

@@ -27,19 +27,31 @@ def test_it_is_small_and_complete():
     names = {path.name for path in find_run(RUN).iterdir()}
     parts = {"README.md", "calibration.json", "config.yaml", "examples", "stages.json"}
     parts |= {"weights.safetensors"}
-    assert names == parts
+    assert names == parts | {"ensemble.json", "members"}
     assert sum(path.stat().st_size for path in find_run(RUN).rglob("*")) < 10e6
     config = RunFolder(find_run(RUN)).load_config()
     assert "/" not in config.root
     assert config.bands == (6.0, 12.0, 24.0)
+    (whole,) = RunFolder(find_run(RUN)).members()
+    assert {path.name for path in whole.path.iterdir()} == parts - {"README.md", "examples"}
+    assert "/" not in whole.load_config().root
+    assert whole.load_config().bands == ()
 
 
 def test_its_probabilities_are_calibrated_on_its_own_grid():
     run = RunFolder(find_run(RUN))
     config = run.load_config()
-    fitted = run.load_calibration(config)
-    assert fitted is not None
-    assert fitted.matches(config.grid("test_grid"), "best")
+    for one in (run, *run.members()):
+        fitted = one.load_calibration(one.load_config())
+        assert fitted is not None
+        assert fitted.matches(config.grid("test_grid"), "best")
+
+
+def test_what_its_networks_say_together_is_calibrated(tmp_path):
+    loaded = Localizer.load(RUN, cache=tmp_path, device="cpu")
+    assert len(loaded.members) == 2
+    assert loaded.calibrated
+    assert loaded.alone().calibrated
 
 
 def test_its_examples_are_answered(tmp_path):
@@ -113,12 +125,10 @@ def test_it_finds_cameras_in_a_generated_city(tmp_path):
 
 @pytest.mark.skipif(not PAIRS.is_dir(), reason="the real pairs are not here")
 def test_it_finds_a_real_camera(localizer):
-    """A gravel road between mobile homes; the picture is a part of the sphere."""
-    band = Image.open(PAIRS / "rural2_ground.jpg")
-    sphere = Image.new("RGB", (1232, 616))
-    sphere.paste(band, (0, 173))
-    tile = Image.open(PAIRS / "rural2_aerial.jpg")
-    tile = tile.crop((218, 218, 532, 532))  # 72 m around the camera
-    estimate = localizer.localize(sphere, tile, metres_per_pixel=0.23)
+    """A street of a suburb, whole panorama; tile of 72 m, the camera in its middle."""
+    ground = Image.open(PAIRS / "suburb2_ground.jpg")
+    tile = Image.open(PAIRS / "suburb2_aerial.jpg").crop((5, 5, 1195, 1195))
+    estimate = localizer.localize(ground, tile, metres_per_pixel=0.0609)
     assert estimate.probabilities.sum() == pytest.approx(1.0, abs=1e-4)
-    assert min(estimate.pose[2], 360.0 - estimate.pose[2]) < 20.0
+    assert min(estimate.pose[2], 360.0 - estimate.pose[2]) < 10.0
+    assert np.hypot(*(estimate.pose[:2] - 0.5)) * 72.5 < 5.0
