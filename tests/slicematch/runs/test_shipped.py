@@ -19,7 +19,7 @@ PAIRS = Path(__file__).parents[4] / "shared" / "data" / "real_pairs"
 
 @pytest.fixture(scope="module")
 def localizer(tmp_path_factory):
-    return Localizer.load(RUN, cache=tmp_path_factory.mktemp("banks"), device="cpu", grid="9x9x32")
+    return Localizer.load(RUN, cache=tmp_path_factory.mktemp("banks"), device="cpu")
 
 
 def test_it_is_small_and_complete():
@@ -47,11 +47,10 @@ def test_its_probabilities_are_calibrated_on_its_own_grid():
         assert fitted.matches(config.grid("test_grid"), "best")
 
 
-def test_what_its_networks_say_together_is_calibrated(tmp_path):
-    loaded = Localizer.load(RUN, cache=tmp_path, device="cpu")
-    assert len(loaded.members) == 2
-    assert loaded.calibrated
-    assert loaded.alone().calibrated
+def test_what_its_networks_say_together_is_calibrated(localizer):
+    assert len(localizer.members) == 2
+    assert localizer.calibrated
+    assert localizer.alone().calibrated
 
 
 def test_its_examples_are_answered(tmp_path):
