@@ -48,6 +48,11 @@ _RUN_OPTIONS = (
     device_option,
     precision_option,
     cache_option,
+    click.option(
+        "--alone",
+        is_flag=True,
+        help="Of an ensemble, ask the first network alone: sooner, and other answers.",
+    ),
 )
 
 

@@ -64,6 +64,7 @@ def evaluate(
     cache: str | Path | None = None,
     refine: Refine = DEFAULT,
     precision: Precision = "32-true",
+    alone: bool = False,
     dask: str | None = None,
     progress: Progress | None = None,
 ) -> tuple[Evaluation, Path]:
@@ -118,6 +119,8 @@ def evaluate(
         How estimates are refined (`slicematch.localization.refinement`).
     precision : {"32-true", "16-mixed", "bf16-mixed"}
         In which the encoders compute.
+    alone : bool
+        Of an ensemble, evaluate the first network alone.
     dask : str, optional
         Measure on Dask: "local", a number of processes here, or a scheduler's address. Stopped and
         repeated, it goes on where it was. Each process computes with its own threads, and loads
@@ -154,6 +157,7 @@ def evaluate(
         "cache": None if cache is None else str(cache),
         "refine": refine,
         "precision": precision,
+        "alone": alone,
     }
     measuring = Measuring(
         run=str(run),
@@ -179,6 +183,8 @@ def evaluate(
         name.append(refine)
     if precision != "32-true":
         name.append(precision)
+    if alone:
+        name.append("alone")
     if heading_half_width_deg is not None:
         name.append(f"prior{heading_half_width_deg:g}")
     if headings is not None:
@@ -209,6 +215,7 @@ def evaluate(
         "labels_left_out": samples.left_out,
         "refine": refine,
         "precision": precision,
+        "networks": len(localizer.members),
         "temperature": localizer.temperature,
         "calibrated": localizer.calibrated,
     }

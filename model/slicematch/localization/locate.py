@@ -192,6 +192,7 @@ def locate(
     cache: str | Path | None = None,
     refine: Refine = DEFAULT,
     precision: Precision = "32-true",
+    alone: bool = False,
     dask: str | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -223,7 +224,7 @@ def locate(
         Side of the tiles on the ground; the run's own by default.
     shared_m : float, optional
         Photographs share tiles on a lattice of so many metres; a sixteenth of the side by default.
-    grid, bank, checkpoint, device, cache, refine, precision
+    grid, bank, checkpoint, device, cache, refine, precision, alone
         As `Localizer.load` takes them.
     dask : str, optional
         Do it on Dask: "local", a number of processes here, or a scheduler's address. The files must
@@ -259,6 +260,7 @@ def locate(
         "cache": None if cache is None else str(cache),
         "refine": refine,
         "precision": precision,
+        "alone": alone,
     }
     work = Locating(
         run=str(run),

@@ -100,6 +100,7 @@ def predict(
     cache: str | Path | None = None,
     refine: Refine = DEFAULT,
     precision: Precision = "32-true",
+    alone: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Prediction:
     """Find where a ground image was taken, with a trained run; on request write files of it.
@@ -144,6 +145,8 @@ def predict(
         How the estimate is refined.
     precision : {"32-true", "16-mixed", "bf16-mixed"}
         In which the encoders compute.
+    alone : bool
+        Of an ensemble, ask the first network alone.
     progress : callable, optional
         Called with what is being done, such as "loading the run".
 
@@ -177,6 +180,7 @@ def predict(
         cache=cache,
         refine=refine,
         precision=precision,
+        alone=alone,
     )
     say("reading the ground image")
     view = localizer.read_ground(ground)

@@ -17,6 +17,8 @@ Masks = tuple[Tensor, Tensor, Tensor]  # CSR: row starts, flat cells, fractions
 
 # Rows worked on at once: on the way they take several times their own memory.
 _ROWS = 1 << 13
+# Numbers of masks that are looked up at once.
+_NUMBERS = 1 << 18
 # Masks gathered in one product are padded to a common multiple of so many cells.
 _PADDED = 8
 
@@ -188,16 +190,18 @@ def plan_shared(index: Tensor, masks: Masks) -> SharedPlan:
     """Choose the masks to pool, for `SharedPlan`; arguments as for `plan_pooling`."""
     slices, device = index.shape[1], index.device
     lengths = masks[0][1:] - masks[0][:-1]
-    # Without a sort of all K * N numbers, which would take most of the memory.
+    # Without a sort of all K * N numbers, which would take most of the memory, and in blocks.
+    blocks = index.split(max(1, _NUMBERS // slices))
     chosen = torch.zeros(len(lengths), dtype=torch.bool, device=device)
-    for n in range(slices):
-        chosen.index_fill_(0, index[:, n].long(), True)
+    for block in blocks:
+        chosen.index_fill_(0, block.flatten().long(), True)
     used = torch.nonzero(chosen)[:, 0]
     dtype = torch.int32 if len(used) * slices < 2**31 else torch.int64
     first = (torch.cumsum(chosen, 0) - 1).to(dtype) * slices
+    numbers = torch.arange(slices, dtype=dtype, device=device)
     slot = torch.empty_like(index, dtype=dtype)
-    for n in range(slices):
-        slot[:, n] = first[index[:, n]] + n
+    for block, slots in zip(blocks, slot.split(len(blocks[0])), strict=True):
+        torch.add(first[block], numbers, out=slots)
     if len(used) < len(lengths):
         masks = _take_many(masks, used)
     # Else they are those of the candidates: a copy for a million poses would take 2 GB on its way.

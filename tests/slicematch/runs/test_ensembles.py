@@ -352,3 +352,20 @@ def test_spoilt_files_are_named(ensemble, cache, tmp_path, name, content):
     (copy / name).write_text(content)
     with pytest.raises(RunError, match=name):
         _load(copy, cache)
+
+
+def test_commands_can_ask_the_first_network_alone(ensemble, banded, pair, config, cache, tmp_path):
+    asked = ["--ground", str(pair[0]), "--aerial", str(pair[1]), "--cache", str(cache), "--json"]
+    answers = [
+        json.loads(CliRunner().invoke(main, ["predict", str(run), *asked, *further]).stdout)
+        for run, further in ((ensemble, []), (ensemble, ["--alone"]), (banded, ["--alone"]))
+    ]
+    assert answers[1]["u"] == pytest.approx(answers[2]["u"], abs=2e-3)
+    assert answers[0]["score"] != pytest.approx(answers[1]["score"], abs=1e-4)
+    done = CliRunner().invoke(
+        main, ["evaluate", str(ensemble), "--alone", "--root", config.root, "--workers", "0",
+               "--device", "cpu", "--cache", str(cache), "--json"]
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    folder = ensemble / "evaluation" / "same-area_test_4x4x8_best_mean_alone"
+    assert json.loads((folder / "result.json").read_text())["networks"] == 1
