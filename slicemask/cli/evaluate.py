@@ -132,7 +132,8 @@ def benchmark(
 ) -> None:
     """Time encoding, aggregation and scoring.
 
-    Of a trained RUN, or of an untrained model with the settings given.
+    Of a trained RUN, of an ensemble its first network, or of an untrained model with the settings
+    given.
     """
     check_model_installed()
     from slicematch.evaluation.timing import time_run, time_settings

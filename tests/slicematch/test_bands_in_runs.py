@@ -66,9 +66,7 @@ def test_scores_off_the_grid_are_those_on_it(banded, cache, images):
     localizer = Localizer.load(banded, cache=cache, device="cpu")
     estimate = localizer.localize(*images, refine="none", heading_prior=(0.0, 180.0))
     with torch.no_grad():
-        ground = localizer.model.encode_ground(
-            localizer._as_input(localizer.read_ground(images[0]))
-        )
+        ground = localizer.encode_ground(images[0])
         aerial = localizer.encode_aerial(images[1]).features
         attention = localizer.model.attend(aerial, ground)
         scorer = PairScorer(ground[0], aerial[0], attention[0], localizer.frustum)

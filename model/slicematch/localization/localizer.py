@@ -4,19 +4,17 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from PIL import Image
 
 from slicemask import Frustum, PoseGrid
-from slicemask.images import Picture, name_of, read_aerial, read_image, resize
-from slicematch.data.elevations import crop_elevations, frame_ground
-from slicematch.data.images import normalise
-from slicematch.data.panoramas import cut_hfov, read_panorama, turn_panorama
+from slicemask.images import Picture, name_of, read_aerial
 from slicematch.devices import choose_device
 from slicematch.errors import ConfigError
 from slicematch.localization.estimate import Estimate
+from slicematch.localization.inputs import GroundImages, aerial_pixels
 from slicematch.localization.members import (
     Encoded,
     EncodedPairs,
@@ -106,6 +104,7 @@ class Localizer:
         self.calibrated = calibrated
         self.temperature = config.tau if temperature is None else temperature
         self.tile_side_m: float | None = config.tile_side_m
+        self._ground_images = GroundImages(config, self.frustum)
         self._within: dict[tuple[HeadingPrior | None, PlacePrior | None], list[Candidates]] = {}
 
     @classmethod
@@ -218,9 +217,7 @@ class Localizer:
         """
         image = read_aerial(aerial)
         window = trained_window(image.width, metres_per_pixel, self.tile_side_m)
-        size = self.config.aerial_size
-        pixels = normalise(resize(window.crop(image), (size, size)), *self.config.normalisation())
-        features = self.encode_aerial_pixels(pixels[None])
+        features = self.encode_aerial_pixels(aerial_pixels(window.crop(image), self.config))
         return AerialTile(features, image.width, metres_per_pixel, window)
 
     def encode_ground(self, ground: Picture) -> Encoded:
@@ -241,7 +238,7 @@ class Localizer:
         ImageError
             If the image cannot be read or has the wrong proportions.
         """
-        return self.encode_ground_pixels(self._as_input(self.read_ground(ground)))
+        return self.encode_ground_pixels(self._ground_images.pixels(self.read_ground(ground)))
 
     def encode_ground_pixels(self, images: torch.Tensor) -> Encoded:
         """Encode ground images [S, 3, height, width] of the run's size, normalised for it."""
@@ -326,7 +323,7 @@ class Localizer:
         if metres_per_pixel is not None and metres_per_pixel != tile.metres_per_pixel:
             trained_window(tile.pixels, metres_per_pixel, self.tile_side_m, crop=False)
             tile = replace(tile, metres_per_pixel=metres_per_pixel)
-        image, facing_deg = self._read_ground(ground)
+        image, facing_deg = self._ground_images.read(ground)
         if facing_deg is not None and heading_prior is None and self.config.heading_prior() is None:
             heading_prior = facing_deg, COMPASS_DEG
             log.warning(
@@ -336,7 +333,7 @@ class Localizer:
                 COMPASS_DEG,
                 facing_deg,
             )
-        descriptors = self.encode_ground_pixels(self._as_input(image))
+        descriptors = self.encode_ground_pixels(self._ground_images.pixels(image))
         (estimate,) = self.estimate(
             descriptors,
             tile.features,
@@ -488,44 +485,11 @@ class Localizer:
         ImageError
             If it cannot be read or has the wrong proportions.
         """
-        return self._read_ground(ground)[0]
-
-    def _read_ground(self, ground: Picture) -> tuple[Image.Image, float | None]:
-        """A ground image, and the heading that a panorama's own data give it, if they do."""
-        if self.frustum.projection == "equirectangular":
-            return read_panorama(ground, self.config.ground_fit, self.frustum.hfov_deg)
-        return read_image(ground), None
-
-    def _as_input(self, image: Image.Image) -> torch.Tensor:
-        """What the ground encoder takes of a ground image, [1, 3, height, width]."""
-        config, hfov_deg = self.config, self.frustum.hfov_deg
-        size = cast(tuple[int, int], config.ground_size)
-        if self.frustum.projection == "equirectangular":
-            image = crop_elevations(image, config.elevations, "equirectangular", hfov_deg)
-            image = turn_panorama(image, 0.0, size, hfov_deg)
-        else:
-            image = resize(self._framed(image), size)
-        return normalise(image, *config.normalisation())[None].to(self.device)
-
-    def _framed(self, image: Image.Image) -> Image.Image:
-        """A camera's image, cut to what the run takes."""
-        config = self.config
-        aspect = config.ground_aspect or image.width / image.height  # runs of before say none
-        return frame_ground(
-            image,
-            aspect,
-            config.ground_fit,
-            config.elevations,
-            self.frustum.hfov_deg,
-            self.frustum.left_deg,
-            config.horizon,
-        )
+        return self._ground_images.read(ground)[0]
 
     def shown(self, image: Image.Image) -> Image.Image:
         """The columns of a ground image that the run's slices are cut from, for a picture."""
-        if self.frustum.projection == "equirectangular":
-            return cut_hfov(image, self.frustum.hfov_deg)
-        return image
+        return self._ground_images.shown(image)
 
 
 def _as_floats(prior: Any) -> Any:

@@ -168,9 +168,7 @@ def test_a_refined_estimate_scores_no_less(localizer, images, refine):
     # The score is that of the pose's own exact masks.
     masks = slice_masks(torch.from_numpy(refined.pose)[None], localizer.frustum, 4, "rays")
     with torch.no_grad():
-        ground = localizer.model.encode_ground(
-            localizer._as_input(localizer.read_ground(images[0]))
-        )
+        ground = localizer.encode_ground(images[0])
         aerial = localizer.encode_aerial(images[1]).features
         attention = localizer.model.attend(aerial, ground)
         score = score_masks(ground, aerial, attention, masks[None])
