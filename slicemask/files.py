@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -132,6 +133,58 @@ def atomic_write(
             partial.unlink(missing_ok=True)
     except OSError as reason:
         raise error(f"{path}: cannot be written: {reason.strerror or reason}; {remedy}") from reason
+
+
+def check_new_folder(path: str | Path, error: type[SlicemaskError]) -> Path:
+    """Return a folder that is to be written, or raise ``error`` unless it is new or empty.
+
+    Raises
+    ------
+    SlicemaskError
+        An ``error``; also as `check_folder`.
+    """
+    folder = check_folder(path, error)
+    if folder.exists() and any(folder.iterdir()):
+        raise error(f"{folder}: is not empty; name another folder")
+    return folder
+
+
+@contextmanager
+def atomic_folder(path: Path, error: type[SlicemaskError]) -> Iterator[Path]:
+    """Make a temporary folder beside ``path``, and rename it to ``path`` once it is filled.
+
+    If the block raises, the temporary folder is removed and ``path`` is as it was.
+
+    Parameters
+    ----------
+    path : Path
+        The folder, new or empty.
+    error : type
+        The class of error to raise.
+
+    Yields
+    ------
+    partial : Path
+        The folder to write to.
+
+    Raises
+    ------
+    SlicemaskError
+        An ``error``, if the folder cannot be written.
+    """
+    partial = _partial(path)
+    try:
+        partial.mkdir(parents=True)
+        yield partial
+        os.replace(partial, path)
+    except OSError as reason:
+        if isinstance(reason, error):
+            raise
+        raise error(
+            f"{path}: cannot be written ({reason.strerror or reason}); name another folder"
+        ) from reason
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_text(path: Path, text: str, error: type[SlicemaskError], remedy: str = _REMEDY) -> None:

@@ -2,8 +2,6 @@
 
 import json
 import logging
-import os
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from slicemask.files import check_folder
+from slicemask.files import atomic_folder, check_new_folder
 from slicematch.data.images import denormalise
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.metrics import pose_errors
@@ -125,9 +123,7 @@ def export(
         If packages are missing, options do not fit each other, or the data cannot be read.
     """
     check_installed(format)
-    target = check_folder(out, RunError)
-    if target.exists() and any(target.iterdir()):
-        raise RunError(f"{target}: is not empty; name another folder")
+    target = check_new_folder(out, RunError)
     if variants and format != "onnx":
         raise ConfigError(f"variants are of the format onnx, and the format is {format}")
     if samples < 1:
@@ -156,20 +152,8 @@ def export(
         # No image that it is measured on may set its ranges.
         part = "validation" if localizer.config.validation_fraction > 0 else "train"
         tuning = _read_pairs(localizer, part, root, _CALIBRATION_IMAGES)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    try:
-        partial.mkdir(parents=True)
-        content = _write_all(localizer, partial, format, baked, variants, test, tuning, progress)
-        os.replace(partial, target)
-    except OSError as error:
-        if isinstance(error, RunError):
-            raise
-        raise RunError(
-            f"{target}: cannot be written ({error.strerror or error}); name another folder"
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return content
+    with atomic_folder(target, RunError) as partial:
+        return _write_all(localizer, partial, format, baked, variants, test, tuning, progress)
 
 
 def _write_all(

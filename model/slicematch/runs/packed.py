@@ -15,15 +15,13 @@
 Commands and functions that only read a run take a packed one as they take a run folder.
 """
 
-import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from safetensors.torch import save
 
-from slicemask.files import atomic_write, check_folder, write_text
+from slicemask.files import atomic_folder, atomic_write, check_new_folder, write_text
 from slicematch.errors import ConfigError, RunError
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.folder import Checkpoint, RunFolder
@@ -72,29 +70,17 @@ def pack(
     slicemask.errors.SpecError
         If the grid is invalid.
     """
-    target = check_folder(out, RunError)
-    if target.exists() and any(target.iterdir()):
-        raise RunError(f"{target}: is not empty; name another folder")
+    target = check_new_folder(out, RunError)
     source = RunFolder(find_run(run))
     config = source.load_config()
     others = _members_by_name([*(one.path for one in source.members()), *members], config)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = RunFolder(target.with_name(f".{target.name}.{os.getpid()}.partial"))
-    try:
+    with atomic_folder(target, RunError) as folder:
+        partial = RunFolder(folder)
         _write(source, partial, checkpoint, grid)
         for name, member in others.items():
             _write(member, RunFolder(partial.members_folder / name), checkpoint)
         if not members and source.load_calibration(config, ensemble=True) is not None:
             _copy_text(source.ensemble_file, partial.ensemble_file)
-        os.replace(partial.path, target)
-    except OSError as error:
-        if isinstance(error, RunError):
-            raise
-        raise RunError(
-            f"{target}: cannot be written ({error.strerror or error}); name another folder"
-        ) from error
-    finally:
-        shutil.rmtree(partial.path, ignore_errors=True)
     return target
 
 
@@ -116,7 +102,7 @@ def _write(
             f"{source.path}: its {too_large[0]} is too large for half precision (65504); hand on "
             "the run folder instead"
         )
-    target.path.mkdir(parents=True)
+    target.path.mkdir(parents=True, exist_ok=True)
     with atomic_write(target.packed_weights, RunError) as partial:
         partial.write_bytes(save(weights))
     config = config if grid is None else replace(config, test_grid=grid)
