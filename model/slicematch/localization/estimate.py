@@ -22,7 +22,7 @@ class Estimate:
     ----------
     modes : tuple of Mode
         Best first, each beyond reach of every better one; the first one is the answer. Means are
-        as good as the best candidates around which they are taken, others as their own scores.
+        as good as they are likely, others as they score.
     scores : float32 [rows, columns, headings]
         Scores of all candidates; -inf where a prior left one out.
     grid : PoseGrid

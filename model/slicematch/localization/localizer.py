@@ -23,7 +23,7 @@ from slicematch.localization.members import (
     load_members,
     weights_of,
 )
-from slicematch.localization.modes import Mode, find_modes
+from slicematch.localization.modes import Mode, check_scores, find_modes
 from slicematch.localization.probabilities import mode_probabilities, probabilities
 from slicematch.localization.refinement import (
     DEFAULT,
@@ -138,8 +138,8 @@ class Localizer:
         cache : path, optional
             The folder of banks; SLICEMASK_CACHE or ``./masks_cache`` by default.
         refine : {"none", "mean", "fine", "continuous"}
-            How estimates are refined: not at all, the best candidate is the answer; the mean of
-            the candidates around it, by their probabilities; coarse to fine; or that and then by
+            How estimates are refined: not at all, the best candidate is the answer; to the mean of
+            the candidates where they are likeliest; coarse to fine; or that and then by
             gradients.
         precision : {"32-true", "16-mixed", "bf16-mixed"}
             In which the encoders compute; all else is float32. With fewer bits they are faster on
@@ -404,12 +404,14 @@ class Localizer:
             scores = candidates[0].scatter_to_grid(pairs.scores(candidates)).cpu().numpy()
         estimates = []
         for s in range(len(scores)):
+            check_scores(scores[s])
             likely = probabilities(scores[s], self.temperature)
-            poses, values = find_modes(scores[s], self.grid)
             scorer = pairs.scorer(s)
             if refine == "mean":
-                poses, values = mean_modes(scorer, poses, values, likely, self.grid, prior)
-            elif refine != "none":
+                poses, values = mean_modes(scorer, likely, self.grid, prior)
+            else:
+                poses, values = find_modes(scores[s], self.grid)
+            if refine in ("fine", "continuous"):
                 metres = None if tile_metres is None else float(tile_metres[s])
                 poses, values = refine_modes(scorer, poses, self.grid, prior, refine, metres)
             reached = mode_probabilities(poses, likely, self.grid)

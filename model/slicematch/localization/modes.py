@@ -13,11 +13,13 @@ from slicematch.errors import RunError
 MODES = 5
 # Poses nearer to each other than this are one answer, in shares of the tile's side and degrees.
 REACH, REACH_DEG = 0.1, 30.0
+# Candidates that stand on the edge of that are within reach.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Mode:
-    """One answer among several: a peak of the scores.
+    """One answer among several: a peak of the scores, or where probability gathers.
 
     Attributes
     ----------
@@ -41,10 +43,7 @@ def within_reach(
     grid: PoseGrid,
     side: float = 1.0,
 ) -> NDArray[np.bool]:
-    """Which poses are one answer with a pose: those within reach of it.
-
-    The reach is a tenth of the side that is searched and 30 degrees, or one and a half steps of a
-    grid that is coarser than that.
+    """Which poses are one answer with a pose: those within reach of it (`reach_of`).
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def within_reach(
     -------
     within : bool [K]
     """
-    near, turned = _reach(pose, poses[:, :2], poses[:, 2], grid, side)
+    near, turned = _within(pose, poses[:, :2], poses[:, 2], reach_of(grid, side))
     return near & turned
 
 
@@ -70,23 +69,37 @@ def candidates_within_reach(pose: NDArray[np.float64], grid: PoseGrid) -> NDArra
 
     Places and headings are looked at by themselves, which is many times as fast.
     """
-    places = np.stack(np.broadcast_arrays(grid.u, grid.v[:, None]), axis=-1).reshape(-1, 2)
-    near, turned = _reach(pose, places, grid.headings_deg, grid, 1.0)
+    near, turned = axes_within_reach(pose, grid)
     return np.logical_and(near[:, None], turned).ravel()
 
 
-def _reach(
+def axes_within_reach(
+    pose: NDArray[np.float64], grid: PoseGrid
+) -> tuple[NDArray[np.bool], NDArray[np.bool]]:
+    """Which places [rows * columns] and which headings [headings] of a grid are within reach."""
+    places = np.stack(np.broadcast_arrays(grid.u, grid.v[:, None]), axis=-1).reshape(-1, 2)
+    return _within(pose, places, grid.headings_deg, reach_of(grid))
+
+
+def reach_of(grid: PoseGrid, side: float = 1.0) -> tuple[float, float]:
+    """How far apart poses may be that are one answer: in place, and in degrees of heading.
+
+    A tenth of the side that is searched and 30 degrees, or one and a half steps of a grid that is
+    coarser than that.
+    """
+    step_u, step_v, step_deg = grid_steps(grid)
+    return max(REACH * side, 1.5 * max(step_u, step_v)), max(REACH_DEG, 1.5 * step_deg)
+
+
+def _within(
     pose: NDArray[np.float64],
     places: NDArray[np.float64],
     headings_deg: NDArray[np.float64],
-    grid: PoseGrid,
-    side: float,
+    reach: tuple[float, float],
 ) -> tuple[NDArray[np.bool], NDArray[np.bool]]:
     """Which places [p, 2], and which headings [h], are within reach of a pose."""
-    step_u, step_v, step_deg = grid_steps(grid)
-    reach, reach_deg = max(REACH * side, 1.5 * max(step_u, step_v)), max(REACH_DEG, 1.5 * step_deg)
-    near = np.hypot(*(places - pose[:2]).T) <= reach
-    return near, np.abs(angle_difference_deg(headings_deg, pose[2])) <= reach_deg
+    near = np.hypot(*(places - pose[:2]).T) <= reach[0] + ROUNDING
+    return near, np.abs(angle_difference_deg(headings_deg, pose[2])) <= reach[1] + ROUNDING
 
 
 def grid_steps(grid: PoseGrid) -> tuple[float, float, float]:
@@ -124,6 +137,21 @@ def find_modes(
     RunError
         If a score is NaN or infinite, or a prior left every candidate out.
     """
+    check_scores(scores)
+    peaks = np.flatnonzero(np.isfinite(scores) & (scores == _highest_around(scores)))
+    row, column, heading = np.unravel_index(peaks, grid.shape)
+    poses = np.stack([grid.u[column], grid.v[row], grid.headings_deg[heading]], axis=1)
+    return non_maximum_suppression(poses, scores.ravel()[peaks].astype(np.float64), grid, most)
+
+
+def check_scores(scores: NDArray[np.float32]) -> None:
+    """Refuse scores of a grid among which no answer can be found.
+
+    Raises
+    ------
+    RunError
+        If one is NaN or infinite, or a prior left every candidate out.
+    """
     best = scores.max()  # NaN, if there is any
     if not np.isfinite(best):
         raise RunError(
@@ -131,10 +159,6 @@ def find_modes(
             "not: take another checkpoint, train again with a smaller learning rate, or, where the "
             "precision is 16-mixed, choose bf16-mixed"
         )
-    peaks = np.flatnonzero(np.isfinite(scores) & (scores == _highest_around(scores)))
-    row, column, heading = np.unravel_index(peaks, grid.shape)
-    poses = np.stack([grid.u[column], grid.v[row], grid.headings_deg[heading]], axis=1)
-    return non_maximum_suppression(poses, scores.ravel()[peaks].astype(np.float64), grid, most)
 
 
 def _highest_around(scores: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -13,7 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from slicemask import PoseGrid
 from slicematch.angles import angle_difference_deg
-from slicematch.localization.modes import candidates_within_reach, grid_steps
+from slicematch.localization.modes import (
+    axes_within_reach,
+    candidates_within_reach,
+    grid_steps,
+)
 
 # The share of probability that a region of places or an ellipse is to hold.
 CONFIDENCE = 0.95
@@ -87,38 +91,37 @@ def mode_probabilities(
     return found
 
 
-def mean_poses(
-    modes: NDArray[np.float64], probabilities: NDArray[np.float64], grid: PoseGrid
+def mean_pose(
+    pose: NDArray[np.float64], probabilities: NDArray[np.float64], grid: PoseGrid
 ) -> NDArray[np.float64]:
-    """The mean pose of the candidates within reach of each mode, by their probabilities.
+    """The mean of the candidates within reach of a pose, by their probabilities.
 
-    Of all poses it has the least expected squared error, in place and in heading, if the mode is
-    the right one.
+    Of all poses it has the least expected squared error, in place and in heading, if the camera is
+    within reach.
 
     Parameters
     ----------
-    modes : float64 [m, 3]
-        Candidates of the grid.
+    pose : float64 [3]
+        u, v, heading_deg.
     probabilities : float64 [rows, columns, headings]
         Of the grid's candidates.
     grid : PoseGrid
 
     Returns
     -------
-    poses : float64 [m, 3]
-        Headings are averaged as turns from the mode's, the short way round, and not wrapped.
+    mean : float64 [3]
+        Headings are averaged as turns from the pose's, the short way round, and not wrapped. The
+        pose itself where nothing within reach is likely.
     """
-    poses, found = grid.poses(), np.empty_like(modes)
-    for m, mode in enumerate(modes):
-        around = candidates_within_reach(mode, grid)
-        weights = probabilities.ravel()[around]
-        if not weights.sum() > 0:  # far less likely than the best mode
-            found[m] = mode
-            continue
-        away = poses[around] - mode
-        away[:, 2] = angle_difference_deg(poses[around, 2], mode[2])
-        found[m] = mode + weights @ away / weights.sum()
-    return found
+    near, turned = axes_within_reach(pose, grid)
+    weights = probabilities.reshape(-1, grid.headings)[np.ix_(near, turned)]
+    total = weights.sum()
+    if not total > 0:
+        return pose
+    row, column = np.divmod(np.flatnonzero(near), grid.columns)
+    places, turns = weights.sum(axis=1), angle_difference_deg(grid.headings_deg[turned], pose[2])
+    u, v = places @ grid.u[column] / total, places @ grid.v[row] / total
+    return np.array([u, v, pose[2] + weights.sum(axis=0) @ turns / total])
 
 
 def covariance(

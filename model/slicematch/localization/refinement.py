@@ -16,8 +16,8 @@ from torch import Tensor
 
 from slicemask import PoseGrid
 from slicematch.errors import ConfigError
+from slicematch.localization.likeliest import likeliest_poses
 from slicematch.localization.modes import grid_steps, non_maximum_suppression
-from slicematch.localization.probabilities import mean_poses
 from slicematch.priors import PosePrior
 
 Refine = Literal["none", "mean", "fine", "continuous"]
@@ -93,39 +93,31 @@ def refine_modes(
 
 
 def mean_modes(
-    score: Score,
-    modes: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    probabilities: NDArray[np.float64],
-    grid: PoseGrid,
-    prior: PosePrior,
+    score: Score, probabilities: NDArray[np.float64], grid: PoseGrid, prior: PosePrior
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Replace modes by the mean poses of the candidates within reach of them.
+    """The likeliest poses (`likeliest_poses`), and their scores.
 
     Parameters
     ----------
     score : callable
         Scores of poses.
-    modes, scores : float64 [m, 3], [m]
-        What `find_modes` gives.
     probabilities : float64 [rows, columns, headings]
         Of the grid's candidates.
     grid : PoseGrid
         Where they stand.
     prior : PosePrior
-        Which no mean leaves.
+        Which no pose leaves.
 
     Returns
     -------
-    poses, scores : float64 [at most m, 3], [at most m]
-        In the order of the modes they came from: a mean's own score says less of its mode.
+    poses, scores : float64 [m, 3], [m]
+        The likeliest first, whose score need not be the highest.
     """
     # A mean keeps to the prior but for rounding.
-    means = prior.project(torch.from_numpy(mean_poses(modes, probabilities, grid)))
-    poses, _ = non_maximum_suppression(means.numpy(), scores, grid)
+    poses = prior.project(torch.from_numpy(likeliest_poses(probabilities, grid)))
     with torch.no_grad():
-        values = score(torch.from_numpy(poses)).double().cpu().numpy()
-    return poses, values
+        values = score(poses).double().cpu().numpy()
+    return poses.numpy(), values
 
 
 def coarse_to_fine(

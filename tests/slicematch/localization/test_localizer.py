@@ -11,6 +11,7 @@ from PIL import Image
 from slicematch.errors import ConfigError, RunError
 from slicematch.evaluation.timing import time_run
 from slicematch.localization.estimate import Estimate
+from slicematch.localization.likeliest import likeliest_poses
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.modes import Mode, within_reach
 from slicematch.scoring.scores import score_masks
@@ -188,17 +189,13 @@ def test_a_refined_estimate_keeps_to_the_priors(localizer, images, refine):
     assert len({mode.pose[0] for mode in aligned.modes}) > 1
 
 
-def test_a_mean_estimate_is_the_mean_of_what_is_near_the_best_candidate(localizer, images):
-    grid = localizer.localize(*images, refine="none")
-    mean = localizer.localize(*images, refine="mean")
-    poses = grid.grid.poses()
-    some = within_reach(grid.pose, poses, grid.grid)
-    weights = grid.probabilities.ravel()[some]
-    expected = weights @ poses[some, :2] / weights.sum()
-    np.testing.assert_allclose(mean.pose[:2], expected, atol=1e-12)
-    turns = (poses[some, 2] - grid.pose[2] + 180) % 360 - 180
-    turn = weights @ turns / weights.sum()
-    assert mean.pose[2] == pytest.approx((grid.pose[2] + turn) % 360)
+def test_a_mean_estimate_is_the_likeliest_pose(localizer, images):
+    estimate = localizer.localize(*images, refine="mean")
+    expected = likeliest_poses(estimate.probabilities, estimate.grid)
+    found = np.array([mode.pose for mode in estimate.modes])
+    np.testing.assert_allclose(found[:, :2], expected[:, :2], atol=1e-12)
+    np.testing.assert_allclose((found - expected)[:, 2] % 360, 0, atol=1e-9)
+    assert estimate.modes[0].probability == max(mode.probability for mode in estimate.modes)
     aligned = localizer.localize(*images, heading_prior=(45, 0), refine="mean")
     assert {mode.pose[2] for mode in aligned.modes} == {45.0}
 
@@ -211,7 +208,7 @@ def test_modes_come_best_first_and_apart(localizer, refine):
             rng.integers(0, 256, (*size, 3), np.uint8) for size in ((32, 64), (64, 64))
         )
         estimate = localizer.localize(ground, aerial, refine=refine)
-        if refine != "mean":  # means keep the order of the candidates
+        if refine != "mean":  # the likeliest come first
             scores = [mode.score for mode in estimate.modes]
             assert scores == sorted(scores, reverse=True)
         poses = np.array([mode.pose for mode in estimate.modes])

@@ -15,7 +15,7 @@ from slicematch.localization.probabilities import (
     covariance,
     credible_region,
     ellipse,
-    mean_poses,
+    mean_pose,
     mode_probabilities,
     probabilities,
 )
@@ -51,12 +51,12 @@ def test_the_covariance_of_a_normal_distribution_is_found(pose):
 def test_the_mean_of_a_normal_distribution_is_found_between_candidates(pose):
     shares = probabilities(gaussian(pose, np.diag([4e-4, 4e-4, 36.0])), 1.0).reshape(GRID.shape)
     mode = GRID.poses()[shares.argmax()]
-    ((u, v, heading),) = mean_poses(mode[None], shares, GRID)
+    u, v, heading = mean_pose(mode, shares, GRID)
     assert (u, v) == pytest.approx(pose[:2], abs=1e-4)
     assert (heading - pose[2] + 180) % 360 - 180 == pytest.approx(0, abs=0.02)
-    # Where nothing is likely, a mode stays.
-    other = GRID.poses()[:1]
-    np.testing.assert_array_equal(mean_poses(other, np.zeros(GRID.shape), GRID), other)
+    # Where nothing is likely, a pose stays.
+    other = GRID.poses()[0]
+    np.testing.assert_array_equal(mean_pose(other, np.zeros(GRID.shape), GRID), other)
 
 
 def test_what_is_known_has_no_spread():

@@ -1,0 +1,110 @@
+"""The likeliest answers: the poses with the most probability within reach of them.
+
+Ours. If an answer counts as right when the camera is within reach of it, the first one is right
+most often of all. The best candidate need not be near it: many that are nearly as good side by side
+make a likelier answer than one that stands alone.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slicemask import PoseGrid
+from slicematch.localization.modes import (
+    MODES,
+    ROUNDING,
+    axes_within_reach,
+    candidates_within_reach,
+    grid_steps,
+    reach_of,
+    within_reach,
+)
+from slicematch.localization.probabilities import mean_pose
+
+# How often an answer moves to the mean of what is within reach of it; further moves are small.
+_MOVES = 3
+# Sums of probabilities that differ by less are equal but for rounding.
+_EQUAL = 1e-12
+
+
+def likeliest_poses(
+    probabilities: NDArray[np.float64], grid: PoseGrid, most: int = MODES
+) -> NDArray[np.float64]:
+    """The poses with the most probability within reach, each moved to the mean of what is there.
+
+    The first one starts at the candidate with the most probability within reach, and moves three
+    times to the mean of the candidates within reach, by their probabilities: mean shift (Comaniciu
+    and Meer, *Mean Shift: A Robust Approach Toward Feature Space Analysis*, PAMI 2002). The next
+    one is found likewise among what is beyond reach of it, and so on.
+
+    Parameters
+    ----------
+    probabilities : float64 [rows, columns, headings]
+        Of the grid's candidates, 1 in all.
+    grid : PoseGrid
+        Where they stand.
+    most : int
+        How many poses to find.
+
+    Returns
+    -------
+    poses : float64 [m, 3]
+        u, v, heading_deg, which is not wrapped: the likeliest first, at least one. None is within
+        reach of another (`slicematch.localization.modes.within_reach`).
+    """
+    left = probabilities.copy()
+    candidates = grid.poses()
+    free = np.ones(len(candidates), dtype=bool)  # to start from
+    mass = mass_within_reach(left, grid).ravel()
+    found: list[NDArray[np.float64]] = []
+    while len(found) < most and (highest := mass[free].max(initial=0.0)) > _EQUAL:
+        equal = np.flatnonzero(free & (mass > highest - _EQUAL))
+        start = pose = candidates[equal[left.ravel()[equal].argmax()]]
+        for _ in range(_MOVES):
+            pose = mean_pose(pose, left, grid)
+        free &= ~candidates_within_reach(start, grid)
+        if found and within_reach(pose, np.array(found), grid).any():
+            continue  # what is left around a likelier one
+        found.append(pose)
+        near, turned = axes_within_reach(pose, grid)
+        left.reshape(-1, grid.headings)[np.ix_(near, turned)] = 0.0
+        free &= ~np.logical_and(near[:, None], turned).ravel()
+        mass = mass_within_reach(left, grid).ravel()
+    return np.array(found)
+
+
+def mass_within_reach(probabilities: NDArray[np.float64], grid: PoseGrid) -> NDArray[np.float64]:
+    """The probability of all candidates within reach of each: float64 [rows, columns, headings]."""
+    step_u, step_v, step_deg = grid_steps(grid)
+    reach, reach_deg = reach_of(grid)
+    turned = _sums_around(probabilities, _steps(reach_deg, step_deg), axis=2, circular=True)
+    total = np.zeros_like(turned)
+    rows = len(turned)
+    # What is within reach is a disc of places: row by row of it, as far as the grid goes.
+    lowest = min(_steps(reach, step_v), rows - 1)
+    for down in range(-lowest, lowest + 1):
+        across = math.sqrt(max(reach**2 - (down * step_v) ** 2, 0.0))
+        sums = _sums_around(turned, _steps(across, step_u), axis=1)
+        total[max(-down, 0) : rows - max(down, 0)] += sums[max(down, 0) : rows - max(-down, 0)]
+    return total
+
+
+def _steps(reach: float, step: float) -> int:
+    """How many steps are within reach; none along an axis of one value."""
+    return int((reach + ROUNDING) / step) if step > 0 else 0
+
+
+def _sums_around(
+    values: NDArray[np.float64], steps: int, axis: int, circular: bool = False
+) -> NDArray[np.float64]:
+    """Sums of the values up to so many steps away, to either side."""
+    size = values.shape[axis]
+    if circular and 2 * steps + 1 >= size:
+        return np.repeat(values.sum(axis=axis, keepdims=True), size, axis=axis)
+    around, before = [(0, 0)] * values.ndim, [(0, 0)] * values.ndim
+    around[axis], before[axis] = (steps, steps), (1, 0)
+    padded = np.pad(values, around, mode="wrap" if circular else "constant")
+    sums = np.pad(padded.cumsum(axis=axis), before).swapaxes(axis, -1)
+    found: NDArray[np.float64] = (sums[..., 2 * steps + 1 :] - sums[..., :size]).swapaxes(axis, -1)
+    return found
