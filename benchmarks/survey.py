@@ -1,11 +1,11 @@
 """Where three of the real pairs were really taken, surveyed by hand.
 
 ``python -m benchmarks.survey PAIRS OUT`` prints how far the labels are off, and writes them put
-right into ``OUT/pairs.csv``, which ``python -m benchmarks.real_pairs RUN OUT`` reads. Nothing of it comes
-from a network: ends of road markings, a bench and such were found in the tile (metres from its
-centre) and in the panorama (degrees from its centre column) by eye, and place and heading are those
-from which they are seen in these directions (resection, robust least squares). Height and tilt of
-the camera hardly matter to it. The other pairs show too few such marks.
+right into ``OUT/pairs.csv``, which ``python -m benchmarks.real_pairs RUN OUT`` reads. Nothing of it
+comes from a network: ends of road markings, a bench and such were found by eye, in the tile (metres
+from its centre) and in the panorama (degrees from its centre column), and place and heading are
+those from which they are seen in these directions (resection, robust least squares). Height and
+tilt of the camera hardly matter to it. The other pairs show too few such marks.
 """
 
 import csv

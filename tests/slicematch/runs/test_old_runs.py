@@ -15,8 +15,8 @@ from slicematch.localization.localizer import Localizer
 from slicematch.runs.config import TrainConfig
 
 OLD = Path(__file__).parent / "data" / "vigor_run_v1"
-# What version 0.1 answered for the images below: u, v, heading_deg, score. Its means were taken around
-# the best candidate, today's are where they are likeliest.
+# What version 0.1 answered for the images below: u, v, heading_deg, score. Its means were
+# taken around the best candidate, today's are where they are likeliest.
 ANSWERS = {
     "none": (0.7, 0.9, 45.0, 0.23428434133529663),
     "mean": (0.2954199088818331, 0.5083211901911704, 48.55993495799726, 0.1655072271823883),
