@@ -78,15 +78,22 @@ def mass_within_reach(probabilities: NDArray[np.float64], grid: PoseGrid) -> NDA
     """The probability of all candidates within reach of each: float64 [rows, columns, headings]."""
     step_u, step_v, step_deg = grid_steps(grid)
     reach, reach_deg = reach_of(grid)
-    turned = _sums_around(probabilities, _steps(reach_deg, step_deg), axis=2, circular=True)
-    total = np.zeros_like(turned)
-    rows = len(turned)
+    steps = _steps(reach_deg, step_deg)
+    if 2 * steps + 1 >= grid.headings:
+        turned = np.repeat(probabilities.sum(axis=2, keepdims=True), grid.headings, axis=2)
+    else:
+        around = np.pad(probabilities, ((0, 0), (0, 0), (steps, steps)), mode="wrap")
+        turned = _sums(_summed(around.swapaxes(1, 2)), steps, steps).swapaxes(1, 2)
     # What is within reach is a disc of places: row by row of it, as far as the grid goes.
+    widest, rows = min(_steps(reach, step_u), grid.columns - 1), grid.rows
+    summed = _summed(np.pad(turned, ((0, 0), (widest, widest), (0, 0))))
+    total = np.zeros_like(turned)
     lowest = min(_steps(reach, step_v), rows - 1)
     for down in range(-lowest, lowest + 1):
         across = math.sqrt(max(reach**2 - (down * step_v) ** 2, 0.0))
-        sums = _sums_around(turned, _steps(across, step_u), axis=1)
-        total[max(-down, 0) : rows - max(down, 0)] += sums[max(down, 0) : rows - max(-down, 0)]
+        first, last = max(-down, 0), rows - max(down, 0)
+        part = summed[first + down : last + down]
+        total[first:last] += _sums(part, min(_steps(across, step_u), widest), widest)
     return total
 
 
@@ -95,16 +102,13 @@ def _steps(reach: float, step: float) -> int:
     return int((reach + ROUNDING) / step) if step > 0 else 0
 
 
-def _sums_around(
-    values: NDArray[np.float64], steps: int, axis: int, circular: bool = False
-) -> NDArray[np.float64]:
-    """Sums of the values up to so many steps away, to either side."""
-    size = values.shape[axis]
-    if circular and 2 * steps + 1 >= size:
-        return np.repeat(values.sum(axis=axis, keepdims=True), size, axis=axis)
-    around, before = [(0, 0)] * values.ndim, [(0, 0)] * values.ndim
-    around[axis], before[axis] = (steps, steps), (1, 0)
-    padded = np.pad(values, around, mode="wrap" if circular else "constant")
-    sums = np.pad(padded.cumsum(axis=axis), before).swapaxes(axis, -1)
-    found: NDArray[np.float64] = (sums[..., 2 * steps + 1 :] - sums[..., :size]).swapaxes(axis, -1)
-    return found
+def _summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums along the second axis of all values before each, and of all."""
+    return np.pad(values.cumsum(axis=1), ((0, 0), (1, 0), (0, 0)))
+
+
+def _sums(summed: NDArray[np.float64], steps: int, margin: int) -> NDArray[np.float64]:
+    """Sums up to so many steps to either side of each value, but for those of the margins."""
+    size = summed.shape[1] - 1 - 2 * margin
+    before, after = margin - steps, margin + steps + 1
+    return summed[:, after : after + size] - summed[:, before : before + size]
