@@ -19,6 +19,7 @@ from slicematch.data.augmentation import recolour
 from slicematch.data.errors import DatasetError, SampleError
 from slicematch.data.images import normalise
 from slicematch.data.loading import raise_lack_of_resources
+from slicematch.data.restyling import restyle
 from slicematch.data.source import DataConfig, Part, Source
 from slicematch.priors import count_outside
 
@@ -126,7 +127,8 @@ class PoseDataset(Dataset[Sample | None]):
     (quarter turns and mirrorings), drawn again in every epoch: the tile is turned and mirrored, the
     pose with it, and the ground image mirrored where the tile is. Only symmetries are drawn that
     map the extent and the priors on place and heading onto themselves, so that a true pose stays
-    among the candidates. Its colours change as `recolour` says.
+    among the candidates. Its colours change as `recolour` says, and `DataConfig.restyle` of its
+    images are shown in another style.
 
     **Own data.** `slicematch.train` and `slicematch.evaluate` take any other torch ``Dataset`` by
     ``dataset=`` and ``validation=``. Its items are dicts of these four, with the images before they
@@ -289,7 +291,18 @@ class PoseDataset(Dataset[Sample | None]):
         if symmetry.azimuth_map[0] < 0:
             ground = _mirrored(ground, self._principal_point)
         aerial = torch.from_numpy(np.ascontiguousarray(symmetry.masks(aerial.numpy())))
-        return recolour(ground, aerial, self._random(index, "colours"), mean, std)
+        pair = recolour(ground, aerial, self._random(index, "colours"), mean, std)
+        ground, aerial = (
+            self._restyled(image, self._random(index, name))
+            for image, name in zip(pair, ("ground style", "aerial style"), strict=True)
+        )
+        return ground, aerial
+
+    def _restyled(self, image: torch.Tensor, random: np.random.Generator) -> torch.Tensor:
+        """An image, or in its share of cases one in another style."""
+        if random.random() >= self.config.restyle:
+            return image
+        return restyle(image, random, self.config.image_mean, self.config.image_std)
 
     @property
     def _augmented(self) -> bool:

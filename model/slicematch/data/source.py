@@ -58,6 +58,9 @@ class DataConfig:
     augment : bool
         Rotate, mirror and recolour the samples of the training part: see
         `slicematch.data.dataset.PoseDataset`. Ours; the paper does not.
+    restyle : float
+        Share of the images of augmented samples that are shown in another style: see
+        `slicematch.data.restyling.restyle`. Ours.
     extent : (u0, v0, u1, v1) or None
         The part of the tile where candidates stand; None for `default_extent`.
     place_prior : (u, v, radius) or None
@@ -105,6 +108,7 @@ class DataConfig:
     image_std: Triple = IMAGENET_STD
     validation_fraction: float = 0.1
     augment: bool = False
+    restyle: float = 0.0
     extent: tuple[float, float, float, float] | None = None
     place_prior: Triple | None = None
     seed: int = 0
@@ -151,6 +155,10 @@ class DataConfig:
                 "a number of at least 0 and below 1",
             ),
             "augment": (isinstance(self.augment, bool), "true or false"),
+            "restyle": (
+                isinstance(self.restyle, int | float) and 0 <= self.restyle <= 1,
+                "a share from 0 to 1",
+            ),
             "seed": (isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0 up"),
         }
         for name, (holds, what) in expected.items():

@@ -84,6 +84,12 @@ class TrainConfig:
         from (ours): fine-tuning. The command also takes over its network's settings.
     freeze_encoders : bool
         Leave the encoders' backbones as they are (ours), for few samples.
+    freeze_statistics : bool
+        Leave the statistics of the backbones' batch normalisation as they are, and use them in
+        training too (ours), for small batches and for images unlike those to come.
+    encoder_rate : float
+        Learning rate of the encoders' backbones, in shares of the learning rate (ours: 1); below 1
+        they keep more of what they started from.
     stride : int
         Stride of the feature maps, in pixels.
     pyramid : int or None
@@ -153,6 +159,9 @@ class TrainConfig:
         (ours: 0.1); with 0 the training loss does.
     augment : bool
         Rotate, mirror and recolour training samples (ours).
+    restyle : float
+        Share of augmented images that are shown in another style: with other contrast, texture and
+        sharpness, and parts hidden (ours: 0). For generated places that are to teach photographs.
     heat_map_every : int
         Epochs from one example heat map to the next; 0 draws none (ours: 1).
     max_bad_samples : int
@@ -211,6 +220,8 @@ class TrainConfig:
     weights: str = "imagenet"
     init: str | None = None
     freeze_encoders: bool = False
+    freeze_statistics: bool = False
+    encoder_rate: float = 1.0
     stride: int = 16
     pyramid: int | None = None
     pyramid_to: int = 32
@@ -239,6 +250,7 @@ class TrainConfig:
     epochs: int = 30
     validation_fraction: float = 0.1
     augment: bool = False
+    restyle: float = 0.0
     heat_map_every: int = 1
     max_bad_samples: int = 10
     seed: int = 0
@@ -281,8 +293,10 @@ class TrainConfig:
         )
         check_workers(self.workers)
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
-        for name in ("tau", "learning_rate"):
+        for name in ("tau", "learning_rate", "encoder_rate"):
             self._check(name, getattr(self, name) > 0, "greater than 0")
+        self._check("restyle", 0 <= self.restyle <= 1, "a share from 0 to 1")
+        self._check("restyle", self.augment or self.restyle == 0, "0 without augment")
         self._check("alpha", self.alpha is None or self.alpha > 0, "greater than 0, or None for K")
         self._check("validation_fraction", 0 <= self.validation_fraction < 1, "in [0, 1)")
         half_width = self.heading_half_width_deg
@@ -486,6 +500,7 @@ class TrainConfig:
             "ground_fit": self.ground_fit,
             "validation_fraction": self.validation_fraction,
             "augment": self.augment,
+            "restyle": self.restyle,
             "extent": self.extent,
             "place_prior": self.place_prior,
             "seed": self.seed,

@@ -64,23 +64,23 @@ class TrainingModule(lightning.LightningModule):
                 config.seed,
             )
         self._estimates: list[tuple[Tensor, ...]] = []
-        for backbone in self._frozen():
-            backbone.requires_grad_(False)
+        if config.freeze_encoders:
+            for backbone in self._backbones():
+                backbone.requires_grad_(False)
 
-    def _frozen(self) -> list[nn.Module]:
-        """The parts of the model that do not train."""
-        encoders = (self.model.ground_encoder, self.model.aerial_encoder)
-        return [encoder.backbone for encoder in encoders] if self.config.freeze_encoders else []
+    def _backbones(self) -> list[nn.Module]:
+        """Of both encoders."""
+        return [self.model.ground_encoder.backbone, self.model.aerial_encoder.backbone]
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam, as in the paper, with its constant learning rate or the one-cycle schedule."""
-        trained = [parameter for parameter in self.parameters() if parameter.requires_grad]
-        optimizer = torch.optim.Adam(trained, lr=self.config.learning_rate)
+        groups = self._parameter_groups()
+        optimizer = torch.optim.Adam(groups)
         if self.config.schedule == "constant":
             return optimizer
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimizer,
-            max_lr=self.config.learning_rate,
+            max_lr=[group["lr"] for group in groups],
             total_steps=int(self.trainer.estimated_stepping_batches),
             pct_start=0.1,
             cycle_momentum=False,  # the betas are Adam's own throughout
@@ -89,6 +89,18 @@ class TrainingModule(lightning.LightningModule):
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """What trains, with its learning rate: all together, or encoders' backbones apart."""
+        rate, encoder_rate = self.config.learning_rate, self.config.encoder_rate
+        trained = [parameter for parameter in self.parameters() if parameter.requires_grad]
+        if encoder_rate == 1.0 or self.config.freeze_encoders:
+            return [{"params": trained, "lr": rate}]
+        slow = {id(one) for backbone in self._backbones() for one in backbone.parameters()}
+        return [
+            {"params": [one for one in trained if id(one) not in slow], "lr": rate},
+            {"params": [one for one in trained if id(one) in slow], "lr": rate * encoder_rate},
+        ]
 
     def on_fit_start(self) -> None:
         """Bring the candidates to the model's device."""
@@ -101,8 +113,9 @@ class TrainingModule(lightning.LightningModule):
         # Lightning sets it without declaring it.
         data: PoseDataModule = self.trainer.datamodule  # type: ignore[attr-defined]
         data.training.set_epoch(self.current_epoch)
-        for backbone in self._frozen():
-            backbone.eval()  # nor do the statistics of batches move
+        if self.config.freeze_encoders or self.config.freeze_statistics:
+            for backbone in self._backbones():
+                backbone.eval()  # so that the statistics of batches do not move
         state = [self.config.seed, self.current_epoch, self.global_rank]
         torch.manual_seed(int(np.random.SeedSequence(state).generate_state(1)[0]))
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from slicematch.data.dataset import PoseDataset
 from slicematch.data.errors import DatasetError, SampleError
@@ -375,6 +376,36 @@ def test_augmenting_shows_all_eight_symmetries_and_keeps_a_known_heading(
     assert known == {(round(u, 9), round(v, 9)), (round(1 - u, 9), round(v, 9))}
     test = open_vigor(tmp_path, "test", cities=("Chicago",), augment=True)
     assert np.array_equal(test.pose(0)[:2], plain.pose(0)[:2])
+
+
+def test_a_share_of_the_training_images_is_restyled(make_vigor_tree, tmp_path, true_colours):
+    make_vigor_tree(tmp_path, pairs=4)
+    plain, none, half, again, all_ = (
+        open_vigor(tmp_path, cities=("Chicago",), augment=True, restyle=share)
+        for share in (0.0, 0.0, 0.5, 0.5, 1.0)
+    )
+    changed = {name: [] for name in ("none", "half", "all")}
+    for epoch in range(12):
+        for dataset in (plain, none, half, again, all_):
+            dataset.set_epoch(epoch)
+        for index in range(len(plain)):
+            sample = plain[index]
+            for name, dataset in (("none", none), ("half", half), ("all", all_)):
+                for view in ("ground", "aerial"):
+                    changed[name].append(not torch.equal(dataset[index][view], sample[view]))
+            assert torch.equal(half[index]["ground"], again[index]["ground"])
+    assert not any(changed["none"])
+    assert 0.3 < np.mean(changed["half"]) < 0.7
+    assert all(changed["all"])
+    test = open_vigor(tmp_path, "test", cities=("Chicago",), augment=True, restyle=1.0)
+    expected = open_vigor(tmp_path, "test", cities=("Chicago",))
+    assert torch.equal(test[0]["aerial"], expected[0]["aerial"])
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, float("nan"), "much"])
+def test_a_share_of_restyled_images_is_from_0_to_1(tmp_path, share):
+    with pytest.raises(DatasetError, match=r"restyle is .* a share from 0 to 1"):
+        open_vigor(tmp_path, cities=("Chicago",), augment=True, restyle=share)
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,7 @@ class Killed(BaseException):
         (2, {"workers": 0}),
         (2, {"workers": 1}),
         (2, {"schedule": "one-cycle", "augment": True}),
+        (2, {"schedule": "one-cycle", "encoder_rate": 0.2, "augment": True, "restyle": 0.5}),
         (2, {"grid_jitter": True, "near_negatives": 2}),
     ],
 )

@@ -133,6 +133,34 @@ def test_training_starts_from_a_run(packed, config, cache, tmp_path):
     assert RunFolder(out).load_config().weights_source == "run small"
 
 
+def test_backbones_learn_slowly_and_keep_their_statistics(config, cache, tmp_path):
+    few = replace(config, weights="none", freeze_statistics=True, epochs=1, learning_rate=1e-3)
+    started = RunFolder(train(replace(few, learning_rate=1e-30), tmp_path / "started", cache=cache,
+                              progress=False)).load_model("last")[1].state_dict()  # fmt: skip
+
+    def moved(name, rate):
+        """By how much the backbones' and the other weights have moved, and which statistics."""
+        run = train(replace(few, encoder_rate=rate), tmp_path / name, cache=cache, progress=False)
+        away = {
+            key: (value.double() - started[key]).abs().max().item()
+            for key, value in RunFolder(run).load_model("last")[1].state_dict().items()
+        }
+        backbones = {key for key in away if "_encoder.backbone." in key}
+        statistics = {key for key in backbones if "running_" in key or "num_batches" in key}
+        others = set(away) - backbones
+        return (
+            max(away[key] for key in backbones - statistics),
+            max(away[key] for key in others),
+            {key for key in statistics if away[key] > 0},
+        )
+
+    fast, others, statistics = moved("fast", 1.0)
+    slow, same, _ = moved("slow", 0.01)
+    assert statistics == set()
+    assert slow < fast / 10
+    assert same > others / 3
+
+
 def test_another_network_cannot_start_from_a_run(packed, config, cache, tmp_path):
     other = replace(config, init=str(packed), pyramid=16)
     with pytest.raises(ConfigError, match="whose network is another"):
