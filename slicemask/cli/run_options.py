@@ -59,8 +59,8 @@ _RUN_OPTIONS = (
 refine_option = click.option(
     "--refine",
     type=click.Choice(["none", "mean", "fine", "continuous"]),
-    help="The best candidate, the mean of those around it, coarse to fine around the best ones, "
-    "or that and then gradients.  [default: mean]",
+    help="The best candidate, the likeliest pose (a mean of candidates), coarse to fine around the "
+    "best ones, or that and then gradients.  [default: mean]",
 )
 
 

@@ -156,8 +156,10 @@ class DataConfig:
             ),
             "augment": (isinstance(self.augment, bool), "true or false"),
             "restyle": (
-                isinstance(self.restyle, int | float) and 0 <= self.restyle <= 1,
-                "a share from 0 to 1",
+                isinstance(self.restyle, int | float)
+                and 0 <= self.restyle <= 1
+                and (self.augment or not self.restyle),
+                "a share from 0 to 1, and 0 without augment",
             ),
             "seed": (isinstance(self.seed, int) and self.seed >= 0, "a whole number from 0 up"),
         }

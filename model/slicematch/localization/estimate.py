@@ -22,7 +22,7 @@ class Estimate:
     ----------
     modes : tuple of Mode
         Best first, each beyond reach of every better one; the first one is the answer. Means are
-        as good as they are likely, others as they score.
+        in the order of their probabilities, others in that of their scores.
     scores : float32 [rows, columns, headings]
         Scores of all candidates; -inf where a prior left one out.
     grid : PoseGrid

@@ -1,8 +1,8 @@
 """The likeliest answers: the poses with the most probability within reach of them.
 
 Ours. If an answer counts as right when the camera is within reach of it, the first one is right
-most often of all. The best candidate need not be near it: many that are nearly as good side by side
-make a likelier answer than one that stands alone.
+most often of all, but for little. The best candidate need not be near it: many that are nearly as
+good side by side make a likelier answer than one that stands alone.
 """
 
 import math
@@ -17,13 +17,16 @@ from slicematch.localization.modes import (
     axes_within_reach,
     candidates_within_reach,
     grid_steps,
+    non_maximum_suppression,
     reach_of,
     within_reach,
 )
-from slicematch.localization.probabilities import mean_pose
+from slicematch.localization.probabilities import mean_pose, mode_probabilities
 
 # How often an answer moves to the mean of what is within reach of it; further moves are small.
 _MOVES = 3
+# The share of the probability within reach that it may not lose by that.
+_LOST = 0.1
 # Sums of probabilities that differ by less are equal but for rounding.
 _EQUAL = 1e-12
 
@@ -31,12 +34,13 @@ _EQUAL = 1e-12
 def likeliest_poses(
     probabilities: NDArray[np.float64], grid: PoseGrid, most: int = MODES
 ) -> NDArray[np.float64]:
-    """The poses with the most probability within reach, each moved to the mean of what is there.
+    """The poses with the most probability within reach, moved to the mean of what is there.
 
-    The first one starts at the candidate with the most probability within reach, and moves three
-    times to the mean of the candidates within reach, by their probabilities: mean shift (Comaniciu
-    and Meer, *Mean Shift: A Robust Approach Toward Feature Space Analysis*, PAMI 2002). The next
-    one is found likewise among what is beyond reach of it, and so on.
+    One starts at the candidate with the most probability within reach, and moves three times to the
+    mean of the candidates within reach, by their probabilities: mean shift (Comaniciu and Meer,
+    *Mean Shift: A Robust Approach Toward Feature Space Analysis*, PAMI 2002), as long as nine
+    tenths of that probability stay within reach. The next one is found likewise among what is
+    beyond reach of it, and so on.
 
     Parameters
     ----------
@@ -50,28 +54,68 @@ def likeliest_poses(
     Returns
     -------
     poses : float64 [m, 3]
-        u, v, heading_deg, which is not wrapped: the likeliest first, at least one. None is within
-        reach of another (`slicematch.localization.modes.within_reach`).
+        u, v, heading_deg, which is not wrapped: at least one, as `likeliest_first` orders them.
     """
     left = probabilities.copy()
     candidates = grid.poses()
     free = np.ones(len(candidates), dtype=bool)  # to start from
     mass = mass_within_reach(left, grid).ravel()
     found: list[NDArray[np.float64]] = []
-    while len(found) < most and (highest := mass[free].max(initial=0.0)) > _EQUAL:
+    while (highest := mass[free].max(initial=0.0)) > _EQUAL:
         equal = np.flatnonzero(free & (mass > highest - _EQUAL))
-        start = pose = candidates[equal[left.ravel()[equal].argmax()]]
-        for _ in range(_MOVES):
-            pose = mean_pose(pose, left, grid)
+        start = candidates[equal[left.ravel()[equal].argmax()]]
+        pose = _moved(start, (1.0 - _LOST) * highest, left, grid)
         free &= ~candidates_within_reach(start, grid)
         if found and within_reach(pose, np.array(found), grid).any():
             continue  # what is left around a likelier one
         found.append(pose)
+        if len(found) == most:
+            break
         near, turned = axes_within_reach(pose, grid)
         left.reshape(-1, grid.headings)[np.ix_(near, turned)] = 0.0
         free &= ~np.logical_and(near[:, None], turned).ravel()
         mass = mass_within_reach(left, grid).ravel()
-    return np.array(found)
+    return likeliest_first(np.array(found), probabilities, grid)
+
+
+def likeliest_first(
+    poses: NDArray[np.float64], probabilities: NDArray[np.float64], grid: PoseGrid
+) -> NDArray[np.float64]:
+    """Poses in the order of their probabilities, each of them beyond reach of those before it.
+
+    Parameters
+    ----------
+    poses : float64 [m, 3]
+        In any order.
+    probabilities : float64 [rows, columns, headings]
+        Of the grid's candidates.
+    grid : PoseGrid
+
+    Returns
+    -------
+    poses : float64 [at most m, 3]
+        Their `mode_probabilities` do not rise. One within reach of a likelier one is left out.
+    """
+    while True:
+        # What several have within reach is the first one's, so that another order changes them: but
+        # each time those that come first have more.
+        likely = mode_probabilities(poses, probabilities, grid)
+        ordered, _ = non_maximum_suppression(poses, likely, grid, len(poses))
+        if len(ordered) == len(poses) and (ordered == poses).all():
+            return poses
+        poses = ordered
+
+
+def _moved(
+    pose: NDArray[np.float64], least: float, left: NDArray[np.float64], grid: PoseGrid
+) -> NDArray[np.float64]:
+    """A pose moved to the mean of what is within reach of it, with so much within reach."""
+    for _ in range(_MOVES):
+        mean = mean_pose(pose, left, grid)
+        if left.ravel()[candidates_within_reach(mean, grid)].sum() < least:
+            break
+        pose = mean
+    return pose
 
 
 def mass_within_reach(probabilities: NDArray[np.float64], grid: PoseGrid) -> NDArray[np.float64]:

@@ -138,9 +138,8 @@ class Localizer:
         cache : path, optional
             The folder of banks; SLICEMASK_CACHE or ``./masks_cache`` by default.
         refine : {"none", "mean", "fine", "continuous"}
-            How estimates are refined: not at all, the best candidate is the answer; to the mean of
-            the candidates where they are likeliest; coarse to fine; or that and then by
-            gradients.
+            How estimates are refined: not at all, the best candidate is the answer; to the
+            likeliest pose, a mean of candidates; coarse to fine; or that and then by gradients.
         precision : {"32-true", "16-mixed", "bf16-mixed"}
             In which the encoders compute; all else is float32. With fewer bits they are faster on
             GPUs and new CPUs, and their features good to two or three digits; "16-mixed" is for

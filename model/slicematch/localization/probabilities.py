@@ -97,7 +97,7 @@ def mean_pose(
     """The mean of the candidates within reach of a pose, by their probabilities.
 
     Of all poses it has the least expected squared error, in place and in heading, if the camera is
-    within reach.
+    within reach of the one handed in.
 
     Parameters
     ----------

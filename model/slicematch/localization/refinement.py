@@ -16,7 +16,7 @@ from torch import Tensor
 
 from slicemask import PoseGrid
 from slicematch.errors import ConfigError
-from slicematch.localization.likeliest import likeliest_poses
+from slicematch.localization.likeliest import likeliest_first, likeliest_poses
 from slicematch.localization.modes import grid_steps, non_maximum_suppression
 from slicematch.priors import PosePrior
 
@@ -113,11 +113,12 @@ def mean_modes(
     poses, scores : float64 [m, 3], [m]
         The likeliest first, whose score need not be the highest.
     """
-    # A mean keeps to the prior but for rounding.
-    poses = prior.project(torch.from_numpy(likeliest_poses(probabilities, grid)))
+    # A mean leaves the prior by rounding, or where it allows nearly all headings into the gap.
+    allowed = prior.project(torch.from_numpy(likeliest_poses(probabilities, grid))).numpy()
+    poses = likeliest_first(allowed, probabilities, grid)
     with torch.no_grad():
-        values = score(poses).double().cpu().numpy()
-    return poses.numpy(), values
+        values = score(torch.from_numpy(poses)).double().cpu().numpy()
+    return poses, values
 
 
 def coarse_to_fine(

@@ -86,7 +86,8 @@ class TrainConfig:
         Leave the encoders' backbones as they are (ours), for few samples.
     freeze_statistics : bool
         Leave the statistics of the backbones' batch normalisation as they are, and use them in
-        training too (ours), for small batches and for images unlike those to come.
+        training too (ours), for small batches and for images unlike those to come. Random weights
+        have none that are worth keeping.
     encoder_rate : float
         Learning rate of the encoders' backbones, in shares of the learning rate (ours: 1); below 1
         they keep more of what they started from.
@@ -295,8 +296,16 @@ class TrainConfig:
         self._check("seed", 0 <= self.seed < 2**32, f"from 0 to {2**32 - 1}")
         for name in ("tau", "learning_rate", "encoder_rate"):
             self._check(name, getattr(self, name) > 0, "greater than 0")
-        self._check("restyle", 0 <= self.restyle <= 1, "a share from 0 to 1")
-        self._check("restyle", self.augment or self.restyle == 0, "0 without augment")
+        self._check(
+            "restyle",
+            0 <= self.restyle <= 1 and (self.augment or not self.restyle),
+            "a share from 0 to 1, and 0 without augment",
+        )
+        self._check(
+            "encoder_rate",
+            self.encoder_rate == 1.0 or not self.freeze_encoders,
+            "1 with freeze_encoders",
+        )
         self._check("alpha", self.alpha is None or self.alpha > 0, "greater than 0, or None for K")
         self._check("validation_fraction", 0 <= self.validation_fraction < 1, "in [0, 1)")
         half_width = self.heading_half_width_deg

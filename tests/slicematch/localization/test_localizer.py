@@ -208,9 +208,9 @@ def test_modes_come_best_first_and_apart(localizer, refine):
             rng.integers(0, 256, (*size, 3), np.uint8) for size in ((32, 64), (64, 64))
         )
         estimate = localizer.localize(ground, aerial, refine=refine)
-        if refine != "mean":  # the likeliest come first
-            scores = [mode.score for mode in estimate.modes]
-            assert scores == sorted(scores, reverse=True)
+        measure = "probability" if refine == "mean" else "score"
+        values = [getattr(mode, measure) for mode in estimate.modes]
+        assert values == sorted(values, reverse=True)
         poses = np.array([mode.pose for mode in estimate.modes])
         for m, pose in enumerate(poses):
             assert not within_reach(pose, np.delete(poses, m, axis=0), estimate.grid).any()
