@@ -16,6 +16,7 @@ each step.
 """
 
 import csv
+import functools
 import json
 import shutil
 from pathlib import Path
@@ -148,6 +149,7 @@ def of_styles(work: Path) -> Path:
     return run
 
 
+@functools.cache
 def _of_tables(work: Path) -> tuple[str, ...]:
     """Flags that name one table of the pairs for networks of whole slices."""
     table = work / "whole.csv"

@@ -62,9 +62,10 @@ def main(pairs: Path, out: Path) -> None:
         )
         if row["id"] not in MARKS:
             continue
-        (east, north, heading_deg), off_deg = resect(np.array(MARKS[row["id"]]))
+        pose, off_deg = resect(np.array(MARKS[row["id"]]))
+        east, north, heading_deg = pose
         side_m = read_image(Path(row["aerial"])).width * float(row["metres_per_pixel"])
-        turn_deg = (heading_deg - float(row["heading_deg"]) + 180.0) % 360.0 - 180.0
+        turn_deg = angle_difference_deg(pose[2:], float(row["heading_deg"]))[0]
         click.echo(
             f"{row['id']}: {east:.1f} m east and {north:.1f} m north of the label, turned by "
             f"{turn_deg:.0f} degrees; directions fit to {np.sqrt(np.mean(off_deg**2)):.1f} degrees"

@@ -14,7 +14,6 @@ from slicemask import PoseGrid
 from slicematch.localization.modes import (
     MODES,
     ROUNDING,
-    axes_within_reach,
     candidates_within_reach,
     grid_steps,
     non_maximum_suppression,
@@ -56,7 +55,7 @@ def likeliest_poses(
     poses : float64 [m, 3]
         u, v, heading_deg, which is not wrapped: at least one, as `likeliest_first` orders them.
     """
-    left = probabilities.copy()
+    left = np.array(probabilities, order="C")  # a copy, which `ravel` shows and does not copy
     candidates = grid.poses()
     free = np.ones(len(candidates), dtype=bool)  # to start from
     mass = mass_within_reach(left, grid).ravel()
@@ -71,9 +70,9 @@ def likeliest_poses(
         found.append(pose)
         if len(found) == most:
             break
-        near, turned = axes_within_reach(pose, grid)
-        left.reshape(-1, grid.headings)[np.ix_(near, turned)] = 0.0
-        free &= ~np.logical_and(near[:, None], turned).ravel()
+        around = candidates_within_reach(pose, grid)
+        left.ravel()[around] = 0.0
+        free &= ~around
         mass = mass_within_reach(left, grid).ravel()
     return likeliest_first(np.array(found), probabilities, grid)
 

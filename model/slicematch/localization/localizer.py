@@ -410,9 +410,9 @@ class Localizer:
                 poses, values = mean_modes(scorer, likely, self.grid, prior)
             else:
                 poses, values = find_modes(scores[s], self.grid)
-            if refine in ("fine", "continuous"):
-                metres = None if tile_metres is None else float(tile_metres[s])
-                poses, values = refine_modes(scorer, poses, self.grid, prior, refine, metres)
+                if refine != "none":
+                    metres = None if tile_metres is None else float(tile_metres[s])
+                    poses, values = refine_modes(scorer, poses, self.grid, prior, refine, metres)
             reached = mode_probabilities(poses, likely, self.grid)
             modes = map(Mode, poses, values.tolist(), reached.tolist())
             estimates.append(
