@@ -75,7 +75,7 @@ lowest:
 	build/lowest/bin/python -m pytest -n auto -m "not slow"
 
 test: $(VENV)/.full
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # A warning ends it. What has not changed since the last time is not run again.
 SPHINX := $(BIN)/python -m sphinx -W --keep-going -d build/doctrees

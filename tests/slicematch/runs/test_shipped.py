@@ -33,7 +33,7 @@ def test_it_is_small_and_complete():
     assert "/" not in config.root
     assert config.bands == (6.0, 12.0, 24.0)
     members = RunFolder(find_run(RUN)).members()
-    assert [one.path.name for one in members] == ["restyled", "whole"]
+    assert [one.path.name for one in members] == ["restyled"]
     for one in members:
         assert {path.name for path in one.path.iterdir()} == parts - {"README.md", "examples"}
         assert "/" not in one.load_config().root
@@ -50,7 +50,7 @@ def test_its_probabilities_are_calibrated_on_its_own_grid():
 
 
 def test_what_its_networks_say_together_is_calibrated(localizer):
-    assert len(localizer.members) == 3
+    assert len(localizer.members) == 2
     assert localizer.calibrated
     assert localizer.alone().calibrated
 
