@@ -5,9 +5,9 @@
 - With bands of range: on places of great variety, from there on more places, half of them plain,
   and the mean of both trainings' weights (Wortsman and others, *Robust fine-tuning of zero-shot
   models*, CVPR 2022).
-- With whole slices: on places nearly half of which are plain, in other styles, its encoders held near
-  what ImageNet taught them. It knows photographs best, and finds what the first one does not, such as
-  crossings.
+- With whole slices: on places nearly half of which are plain, in other styles, its encoders held
+  near what ImageNet taught them. It knows photographs best, and finds what the first one does not,
+  such as crossings.
 
 Probabilities are tempered for photographs. What is there already is not done again, and a training
 that was cut short goes on, so it may take several sittings. Processor time is printed at the end of
