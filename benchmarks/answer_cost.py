@@ -70,7 +70,7 @@ def features(encoder: str) -> Callable[[str], Answer]:
 
 SIDES: dict[str, tuple[str, Callable[[str], Answer]]] = {
     "fast": ("--recipe fast, from pictures to the refined answer", shipped(alone=True)),
-    "generated_city": ("generated-city: and two more networks, likewise", shipped(alone=False)),
+    "generated_city": ("generated-city: and one more network, likewise", shipped(alone=False)),
     "peers": (
         "efficientnet_b0's features of 320x640 and 512x512: HC-Net's and CCVPE's backbone and "
         "sizes, nothing after it",
