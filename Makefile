@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Whole files to each process, in their order: what a file's tests share is made once.
+PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
@@ -63,19 +65,19 @@ demo: $(VENV)/.full
 	@echo "pictures: runs/demo/unseen/best.png, median.png, worst.png, errors.png"
 
 quick: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto -m "not slow" --ignore=tests/bank/test_kill.py $(QUICK_TESTS)
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow" --ignore=tests/bank/test_kill.py $(QUICK_TESTS)
 
 core: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto $(CORE_TESTS)
+	$(BIN)/python -m pytest $(PARALLEL) $(CORE_TESTS)
 
 # In an environment of its own; what only these packages need comes in the newest versions.
 lowest:
 	uv venv --quiet --python $(PYTHON) build/lowest
 	uv pip install --quiet --python build/lowest --resolution lowest-direct -e '.[model,compiled,cameras,export,maps,drives,dask,synth,app,test]'
-	build/lowest/bin/python -m pytest -n auto -m "not slow"
+	build/lowest/bin/python -m pytest $(PARALLEL) -m "not slow"
 
 test: $(VENV)/.full
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest $(PARALLEL)
 
 # A warning ends it. What has not changed since the last time is not run again.
 SPHINX := $(BIN)/python -m sphinx -W --keep-going -d build/doctrees
