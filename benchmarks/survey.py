@@ -1,4 +1,4 @@
-"""Where three of the real pairs were really taken, surveyed by hand.
+"""Where four of the real pairs were really taken, surveyed by hand.
 
 ``python -m benchmarks.survey PAIRS OUT`` prints how far the labels are off, and writes them put
 right into ``OUT/pairs.csv``, which ``python -m benchmarks.real_pairs RUN OUT`` reads. Nothing of it
@@ -30,6 +30,15 @@ MARKS = {
         (7.9, -12.3, 147.8),  # centre line in the south, its near end
         (-7.2, 4.3, -57.0),  # where a path meets the kerb
     ],
+    "suburb1": [
+        (20.0, 9.3, 57.0),  # garage, the west end of its front
+        (21.5, 6.9, 65.3),  # red roof, its west corner
+        (16.8, -0.6, 84.0),  # edge of a bed beside the drive
+        (13.5, -5.1, 106.0),  # where that drive's south side meets the kerb
+        (-4.2, 11.5, -25.8),  # tip of the gap between the tracks of a drive in the north
+        (-3.2, 8.6, -26.7),  # where that drive's near side meets the kerb
+        (-7.0, 11.4, -35.5),  # and its far side
+    ],
     "suburb2": [
         (-1.3, 5.0, -38.0),  # centre line in the north, its near end
         (1.3, 11.8, -10.3),  # give-way line, its last dash
@@ -54,7 +63,7 @@ _OUTLIER_DEG = 2.0
 @click.argument("pairs", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.argument("out", type=click.Path(path_type=Path))
 def main(pairs: Path, out: Path) -> None:
-    """Write the labels of PAIRS into the folder OUT, three of them put right."""
+    """Write the labels of PAIRS into the folder OUT, four of them put right."""
     rows = read_pairs(pairs)
     for row in rows:
         row["ground"], row["aerial"] = (
