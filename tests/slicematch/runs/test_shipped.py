@@ -33,7 +33,7 @@ def test_it_is_small_and_complete():
     assert "/" not in config.root
     assert config.bands == (6.0, 12.0, 24.0)
     members = RunFolder(find_run(RUN)).members()
-    assert [one.path.name for one in members] == ["restyled"]
+    assert [one.path.name for one in members] == ["whole"]
     for one in members:
         assert {path.name for path in one.path.iterdir()} == parts - {"README.md", "examples"}
         assert "/" not in one.load_config().root
