@@ -6,9 +6,9 @@ ImageNet taught them: what they learnt of generated places by their look alone w
 photographs. One cuts its slices into bands of range, and is exact; the other has whole slices,
 knows photographs best, and finds which way a street is looked along.
 
-Each one's probabilities are tempered for photographs. What is there already is not done again, and a training
-that was cut short goes on, so it may take several sittings. Processor time is printed at the end of
-each step.
+Each one's probabilities are tempered for photographs. What is there already is not done again, and
+a training that was cut short goes on, so it may take several sittings. Processor time is printed at
+the end of each step.
 """
 
 import csv
@@ -98,7 +98,7 @@ FACTORS = {"banded": 1.35, "whole": 1.15}
 @click.option("--work", default="runs/ship", show_default=True, help="Where data and runs go.")
 @click.option("--out", default="runs/ship/generated-city", show_default=True, help="Packed run.")
 def main(work: str, out: str) -> None:
-    """Generate, train, average and pack the run that ships."""
+    """Generate, train and pack the run that ships."""
     banded = train(Path(work), "banded", BANDED)
     whole = train(Path(work), "whole", WHOLE)
     packed = RunFolder(Path(out))
