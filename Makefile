@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Whole files to each process, in their order: what a file's tests share is made once.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
+# One thread each: threads that wait for each other on busy cores take half as long again.
+quick core lowest test: export OMP_NUM_THREADS = 1
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
