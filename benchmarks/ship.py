@@ -12,6 +12,7 @@ the end of each step.
 """
 
 import csv
+import functools
 import json
 import shutil
 from dataclasses import replace
@@ -48,17 +49,23 @@ FIRST = ("plain", "plain11", "plain12", "plain13", "plain14", "varied71")
 MORE = (*FIRST, "plain15", "plain16", "plain17")
 FRESH = ("varied73", "plain15", "plain16", "plain17", "plain18", "plain19", "plain20")
 TRAINING = (
+    "--schedule", "one-cycle", "--augment", "--test-grid", "14x14x32", "--heat-map-every", "0",
+    "--workers", "1", "--accelerator", "cpu",
+)  # fmt: skip
+OF_TABLES = (
     "--data", "table", "--batch-size", "8", "--validation-fraction", "0.02",
-    "--schedule", "one-cycle", "--augment", "--encoder-rate", "0.2", "--freeze-statistics",
-    "--test-grid", "14x14x32", "--heat-map-every", "0", "--workers", "1", "--accelerator", "cpu",
+    "--encoder-rate", "0.2", "--freeze-statistics",
 )  # fmt: skip
 NETWORK = (
     "--encoder", "tf_efficientnet_lite0", "--weights", "imagenet", "--stride", "8",
     "--pyramid", "64", "--pyramid-to", "16", "--ground-size", "128,512", "--elevations=-30,30",
     "--aerial-size", "256", "--no-cross-view-attention",
 )  # fmt: skip
-BANDED = ("--slices", "32", "--bands", "6,12,24", "--camera-height-m", "2.5", "--alpha", "K")
-WHOLE = ("--slices", "16")
+# By the names of the runs, which those of the last steps have.
+SLICES = {
+    "banded": ("--slices", "32", "--bands", "6,12,24", "--camera-height-m", "2.5", "--alpha", "K"),
+    "whole": ("--slices", "16"),
+}
 
 
 class Step(NamedTuple):
@@ -71,7 +78,6 @@ class Step(NamedTuple):
     seed: int
 
 
-# By the names of the runs, which those of the last steps have.
 STEPS = {
     "banded": (
         Step(FIRST, 2, 1e-3, 1.0, 5),
@@ -99,8 +105,7 @@ FACTORS = {"banded": 1.35, "whole": 1.15}
 @click.option("--out", default="runs/ship/generated-city", show_default=True, help="Packed run.")
 def main(work: str, out: str) -> None:
     """Generate, train and pack the run that ships."""
-    banded = train(Path(work), "banded", BANDED)
-    whole = train(Path(work), "whole", WHOLE)
+    banded, whole = (train(Path(work), name) for name in SLICES)
     packed = RunFolder(Path(out))
     shutil.rmtree(out, ignore_errors=True)
     _slicemask("pack", str(banded), "--with", str(whole), "--checkpoint", "last", "--grid", GRID,
@@ -111,8 +116,8 @@ def main(work: str, out: str) -> None:
     as_vigor.save(packed.config_file)
     temper(packed.calibration_file, FACTORS["banded"])
     temper(packed.members()[0].calibration_file, FACTORS["whole"])
-    table = as_table(_places(Path(work), "unseen"))
-    calibrate(out, dataset=TurnedPairs(table), device="cpu", workers=1)
+    unseen = TurnedPairs(_table(Path(work), "unseen"))
+    calibrate(out, dataset=unseen, device="cpu", workers=1)
 
 
 class TurnedPairs(Dataset[dict[str, Any]]):
@@ -139,16 +144,16 @@ class TurnedPairs(Dataset[dict[str, Any]]):
         }
 
 
-def train(work: Path, name: str, slices: tuple[str, ...]) -> Path:
+def train(work: Path, name: str) -> Path:
     """All steps of a network; gives the last one's run, calibrated."""
-    start = (*NETWORK, *slices)
+    start = (*NETWORK, *SLICES[name])
     for number, step in enumerate(STEPS[name], 1):
         last = number == len(STEPS[name])
         run = work / (name if last else f"{name}{number}")
         if not (run / "calibration.json").exists():
             table = run.with_suffix(".csv")
-            join([as_table(_places(work, places)) for places in step.places], table)
-            _slicemask("train", *TRAINING, "--root", str(table), *start,
+            join([_table(work, places) for places in step.places], table)
+            _slicemask("train", *TRAINING, *OF_TABLES, "--root", str(table), *start,
                        "--epochs", str(step.epochs), "--learning-rate", str(step.learning_rate),
                        "--restyle", str(step.restyle), "--seed", str(step.seed),
                        "--out", str(run), "--resume")  # fmt: skip
@@ -157,14 +162,11 @@ def train(work: Path, name: str, slices: tuple[str, ...]) -> Path:
     return run
 
 
-def _places(work: Path, name: str) -> Path:
-    """The folder of generated places, which `synth` fills where it is not yet full."""
-    _slicemask("synth", *PLACES[name], "--out", str(work / name))
-    return work / name
-
-
-def as_table(root: Path) -> Path:
-    """All pairs of generated places as a table beside their folder."""
+@functools.cache
+def _table(work: Path, places: str) -> Path:
+    """All pairs of generated places, which `synth` completes where some are missing."""
+    root = work / places
+    _slicemask("synth", *PLACES[places], "--out", str(root))
     table = root.with_suffix(".csv")
     _slicemask("table", "from-vigor", str(root), "--split", "same-area", "--cities", "NewYork",
                "--out", str(table), "--overwrite")  # fmt: skip

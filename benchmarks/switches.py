@@ -29,7 +29,9 @@ PLACES = (*SIZES, "--cities", "1", "--seed", "31", "--panoramas", "200", "--plac
 PLAIN = (*SIZES, "--cities", "2", "--seed", "1", "--panoramas", "100")
 # The network with bands that ships, on half as many columns and slices.
 TRAINING = (
-    *ship.TRAINING, *ship.OF_VIGOR, *ship.NETWORK, *ship.BANDS,
+    *ship.TRAINING, *ship.NETWORK, *ship.SLICES["banded"],
+    "--data", "vigor", "--split", "cross-area", "--cities", "NewYork,SanFrancisco",
+    "--batch-size", "4", "--validation-fraction", "0.05", "--seed", "0",
     "--ground-size", "128,256", "--slices", "16", "--learning-rate", "5e-4", "--epochs", "5",
 )  # fmt: skip
 TEST = ("--grid", ship.GRID, "--checkpoint", "last", "--refine", "mean", "--limit", "100")
