@@ -26,6 +26,7 @@ from slicemask.cli.run_options import (
     run_options,
     workers_option,
 )
+from slicemask.cli.setting_options import data_options, take_data_settings
 
 
 @click.command(short_help="Measure the errors of a trained RUN.")
@@ -43,9 +44,7 @@ from slicemask.cli.run_options import (
     help="Part of the data set.",
 )
 @root_option
-@click.option(
-    "--map", "aerial_map", metavar="FILE", help="Of a table's rows.  [default: the run's]"
-)
+@data_options
 @click.option("--limit", type=int, help="Only so many samples, evenly spaced.  [default: all]")
 @click.option(
     "--heading-prior",
@@ -84,8 +83,11 @@ def evaluate(run: str, as_json: bool, **options: Any) -> None:
     with status_line("loading torch"), without_collection():
         from slicematch import evaluate
 
+    own = take_data_settings(options)
     with progress_bar("evaluating", "samples") as progress:
-        evaluation, folder = evaluate(run, progress=progress, **given_options(options))
+        evaluation, folder = evaluate(
+            run, progress=progress, data_settings=own, **given_options(options)
+        )
     text = f"{evaluation.report()}\nresults in {folder}"
     print_result(as_json, {**evaluation.summary(), "folder": str(folder)}, text)
 

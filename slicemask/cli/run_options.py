@@ -30,7 +30,7 @@ precision_option = click.option(
     help="Of the encoders; what follows them is float32. 16-mixed: GPUs only.",
 )
 root_option = click.option(
-    "--root", metavar="DIR", help="Folder of the data tree.  [default: the run's]"
+    "--root", metavar="PATH", help="The data tree's folder, or a table.  [default: the run's]"
 )
 workers_option = click.option(
     "--workers", type=int, help="Processes that load images.  [default: the run's]"

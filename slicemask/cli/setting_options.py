@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import click
 from slicematch.data import DATA_SETS, config_class
+from slicematch.data.source import DataConfig
 from slicematch.runs.config import TrainConfig
 from slicematch.runs.settings import documentation
 
@@ -26,6 +27,23 @@ def setting_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(_options()):
         command = option(command)
     return command
+
+
+def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add options for another data set than a run's, and for each data set's own settings."""
+    help_text = "The data set at --root, for runs of panoramas.  [default: the run's]"
+    data = click.option("--data", type=click.Choice(list(DATA_SETS)), help=help_text)
+    for option in reversed([data, *_own_options("the run's")]):
+        command = option(command)
+    return command
+
+
+def take_data_settings(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the data sets' own settings out of the options of a command with `data_options`."""
+    own = {
+        name: options.pop(name) for kind in _data_sets().values() for name in kind.own_settings()
+    }
+    return given_settings(own)
 
 
 def given_settings(options: dict[str, Any]) -> dict[str, Any]:
@@ -68,28 +86,42 @@ class _Texts(ParamType):
 
 
 def _options() -> list[Callable[..., Any]]:
-    classes = {name: config_class(name) for name in DATA_SETS}
     documented = documentation(TrainConfig)
-    options = []
+    options: list[Callable[..., Any] | None] = []
     for setting in fields(TrainConfig):
-        by_data = {name: getattr(kind, setting.name, None) for name, kind in classes.items()}
-        options.append(_option(setting, *documented[setting.name], by_data))
-        if setting.name != "data_settings":
+        if setting.name == "data_settings":
+            options += _own_options()
             continue
-        for data, kind in classes.items():
-            own = documentation(kind)
-            options += [
-                _option(field, own[field.name][0], f"{data}: {own[field.name][1]}", {})
-                for field in fields(kind)
-                if field.name in kind.own_settings()
-            ]
+        by_data = {name: getattr(kind, setting.name, None) for name, kind in _data_sets().items()}
+        options.append(_option(setting, *documented[setting.name], by_data))
+    return [option for option in options if option is not None]
+
+
+def _data_sets() -> dict[str, type[DataConfig]]:
+    return {name: config_class(name) for name in DATA_SETS}
+
+
+def _own_options(default: str | None = None) -> list[Callable[..., Any]]:
+    """Options of the settings that each data set has of its own."""
+    options = []
+    for data, kind in _data_sets().items():
+        own = documentation(kind)
+        options += [
+            _option(field, own[field.name][0], f"{data}: {own[field.name][1]}", {}, default)
+            for field in fields(kind)
+            if field.name in kind.own_settings()
+        ]
     return [option for option in options if option is not None]
 
 
 def _option(
-    setting: Field[Any], form: str, text: str, by_data: dict[str, Any]
+    setting: Field[Any],
+    form: str,
+    text: str,
+    by_data: dict[str, Any],
+    default: str | None = None,
 ) -> Callable[..., Any] | None:
-    """The option of a setting, or None if it has none."""
+    """The option of a setting, or None if it has none; its help may name another default."""
     name = setting.metadata.get("option", setting.name.replace("_", "-"))
     if name is None:
         return None
@@ -98,10 +130,13 @@ def _option(
         kind = typing.get_args(kind)[0]
     text = text.replace("`", "")
     # What None stands for is the default of an option, and nothing that anyone types.
-    none = re.search(r"[;,] [Nn]one for ([^.:]*)", text)
+    none = re.search(r"[;,] [Nn]one for (.*?)(?=\.(\s|$)|:|$)", text)
     if none:
         text = text[: none.start()] + text[none.end() :]
-    text += _default(setting, by_data, none[1] if none else None)
+    if default is None:
+        text += _default(setting, by_data, none[1] if none else None)
+    else:
+        text += f"  [default: {default}]"
     if kind is bool:
         return click.option(f"--{name}/--no-{name}", setting.name, default=None, help=text)
     return click.option(f"--{name}", setting.name, type=_type(setting, kind, form), help=text)

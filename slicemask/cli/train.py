@@ -18,7 +18,12 @@ from slicemask.cli.run_options import (
     run_argument,
     workers_option,
 )
-from slicemask.cli.setting_options import given_settings, setting_options
+from slicemask.cli.setting_options import (
+    data_options,
+    given_settings,
+    setting_options,
+    take_data_settings,
+)
 
 
 @click.command()
@@ -68,6 +73,7 @@ def train(
 @click.command()
 @run_argument
 @root_option
+@data_options
 @grid_option
 @checkpoint_option
 @device_option
@@ -82,8 +88,9 @@ def calibrate(run: str, as_json: bool, **options: Any) -> None:
     check_model_installed()
     from slicematch.evaluation.calibration import calibrate
 
+    own = take_data_settings(options)
     with progress_bar("calibrating", "samples") as progress:
-        content = calibrate(run, progress=progress, **options)
+        content = calibrate(run, progress=progress, data_settings=own, **options)
     text = (
         "temperature {temperature:.4g}: mean negative log-likelihood {nll:.3f} on {samples} "
         "samples, {nll_of_tau:.3f} with the loss's tau; for answers among {grid} by the "

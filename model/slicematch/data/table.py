@@ -129,7 +129,8 @@ class TableConfig(DataConfig):
         if self.hfov_deg is not None and abs(self.hfov_deg - view.hfov_deg) > 1e-6:
             raise DatasetError(
                 f"hfov_deg is {self.hfov_deg:g}; the images of {self.root} show "
-                f"{view.hfov_deg:.4g} degrees: leave it out, or name a part of them by view"
+                f"{view.hfov_deg:.4g} degrees: leave it out, or name a part of them by view; a "
+                "trained run takes images of its own kind alone"
             )
         facts = {
             "view": tuple(view),

@@ -7,7 +7,7 @@ Temperature scaling: Guo, Pleiss, Sun, Weinberger, *On Calibration of Modern Neu
 import json
 import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,7 +161,9 @@ def calibrate(
     *,
     dataset: Any = None,
     grid: str | None = None,
+    data: str | None = None,
     root: str | None = None,
+    data_settings: Mapping[str, Any] | None = None,
     checkpoint: Checkpoint = "best",
     device: str = "auto",
     workers: int | None = None,
@@ -183,8 +185,9 @@ def calibrate(
         Validation samples of the program's own, as `slicematch.PoseDataset` documents them.
     grid : str, optional
         Candidates such as "21x21x64"; the run's test grid by default.
-    root : str, optional
-        Where the data lie, if not where they lay in training.
+    data, root, data_settings
+        Another data set, or where the data lie, if not where they lay in training: see
+        `slicematch.evaluate`.
     checkpoint : {"best", "last"}
         Which weights.
     device : str
@@ -235,7 +238,7 @@ def calibrate(
         run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
     )
     samples = (
-        config.dataset("validation", root)
+        config.with_data(data, root, data_settings).dataset("validation")
         if dataset is None
         else config.own_dataset(dataset, "validation")
     )

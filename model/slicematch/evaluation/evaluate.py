@@ -1,7 +1,7 @@
 """Evaluating a trained run on a part of its data set."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from slicematch.localization.tiles import trained_window
 from slicematch.parts import Parts, Progress, Row, digest, run_parts, split_groups
 from slicematch.precision import Precision
 from slicematch.priors import count_outside
-from slicematch.runs.config import TrainConfig, check_workers
+from slicematch.runs.config import TrainConfig, check_workers, plain
 from slicematch.runs.folder import Checkpoint, RunFolder
 from slicematch.runs.shipped import find_run
 
@@ -49,8 +49,9 @@ def evaluate(
     bank: str | Path | None = None,
     split: str | None = None,
     part: str = "test",
+    data: str | None = None,
     root: str | None = None,
-    aerial_map: str | Path | None = None,
+    data_settings: Mapping[str, Any] | None = None,
     limit: int | None = None,
     heading_half_width_deg: float | None = None,
     headings: str | Path | None = None,
@@ -85,10 +86,14 @@ def evaluate(
         The run's own by default.
     part : {"test", "validation", "train"}
         Part of the data set.
+    data : {"vigor", "kitti", "table"}, optional
+        The data set, if not the run's own, for runs of panoramas; with its root. Tables' aerial
+        tiles are cut to the size of those in training.
     root : str, optional
         Where the data lie, if not where they lay in training.
-    aerial_map : path, optional
-        The map of a table's rows, if not that of the run.
+    data_settings : mapping, optional
+        Settings of the data set's own in place of the run's or of its defaults, such as `map`,
+        which a table's rows are cut from: see `VigorConfig`, `KittiConfig` and `TableConfig`.
     limit : int, optional
         Only so many samples, evenly spaced over the part.
     heading_half_width_deg : float, optional
@@ -163,8 +168,9 @@ def evaluate(
         run=str(run),
         part=part,
         split=split,
+        data=data,
         root=root,
-        aerial_map=None if aerial_map is None else str(aerial_map),
+        data_settings=dict(data_settings or {}),
         heading_half_width_deg=heading_half_width_deg,
         headings=None if headings is None else str(headings),
         headings_unit=headings_unit,
@@ -174,10 +180,14 @@ def evaluate(
         raise ConfigError(
             "a data set of the program's own is measured in one process, without dask"
         )
+    if data is not None and dataset is not None:
+        raise ConfigError(f"data is {data!r}, and a dataset of the program's own is given as well")
     localizer, samples = measuring.load(dataset)
     config = localizer.config
     split = split or config.split
     name = [split, part] if dataset is None else [OWN]
+    if data is not None:
+        name.insert(0, data)
     name += [str(localizer.grid), checkpoint]
     if refine != "none":
         name.append(refine)
@@ -203,6 +213,8 @@ def evaluate(
         "run": str(run),
         "checkpoint": checkpoint,
         "data": config.data if dataset is None else OWN,
+        "root": config.root if dataset is None else None,
+        "data_settings": plain(config.data_settings) if dataset is None else None,
         "split": split,
         "part": part,
         "grid": str(localizer.grid),

@@ -52,8 +52,10 @@ class Measuring:
     ----------
     run, part : str
         The run's folder, and the part of its data set.
-    split, root, aerial_map : str or None
+    split, data, root : str or None
         As `slicematch.evaluate` takes them.
+    data_settings : mapping
+        Likewise.
     heading_half_width_deg : float or None
         Likewise.
     headings : str or None
@@ -67,8 +69,9 @@ class Measuring:
     run: str
     part: str
     split: str | None = None
+    data: str | None = None
     root: str | None = None
-    aerial_map: str | None = None
+    data_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
     heading_half_width_deg: float | None = None
     headings: str | None = None
     headings_unit: HeadingUnit = "degrees"
@@ -83,14 +86,12 @@ class Measuring:
             None if self.headings is None else read_headings(self.headings, self.headings_unit)
         )
         localizer = Localizer.load(self.run, **dict(self.settings))
+        localizer.config = localizer.config.with_data(self.data, self.root, self.data_settings)
         if self.heading_half_width_deg is not None:
             _use_heading_prior(localizer, self.heading_half_width_deg)
         config = localizer.config
-        if self.aerial_map is not None:
-            others = {**config.data_settings, "map": self.aerial_map}
-            config = replace(config, data_settings=others)
         samples = (
-            config.dataset(self.part, self.root, self.split or config.split)
+            config.dataset(self.part, split=self.split or config.split)
             if dataset is None
             else config.own_dataset(dataset, "test")
         )

@@ -1,7 +1,7 @@
 """What a training run is made of: one frozen set of settings, kept as YAML in its run folder."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -533,6 +533,53 @@ class TrainConfig:
                 f"{self.projection}; name images of the run's kind"
             )
         return found
+
+    def with_data(
+        self,
+        data: str | None = None,
+        root: str | None = None,
+        own: Mapping[str, Any] | None = None,
+    ) -> "TrainConfig":
+        """These settings for the images of another data set, or of another root.
+
+        The network, its images' sizes and its candidates stay; what the data set's own settings
+        are starts from its defaults, and aerial tiles are as large as those in training.
+
+        Parameters
+        ----------
+        data : str, optional
+            The data set's name; the run's own by default.
+        root : str, optional
+            Where its images lie, in place of the run's root; another data set has to have one.
+        own : mapping, optional
+            Settings of the data set's own, such as `map`, in place of those that it has.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such data set or setting, another data set has no root, or it or the run
+            has pinhole cameras, each of which is one of its own.
+        """
+        changed: dict[str, Any] = {"root": root or self.root}
+        if data in (None, self.data):
+            settings = dict(self.data_settings)
+        else:
+            kind = config_class(data)
+            if root is None:
+                raise ConfigError(
+                    f"data is {data!r}, and the run was trained on {self.data!r}; name the root of "
+                    "the other data, too"
+                )
+            if not self.projection == kind.projection == "equirectangular":
+                raise ConfigError(
+                    f"data is {data!r}, and the run was trained on {self.data!r}; only panoramas "
+                    "go with a run of other panoramas, and cameras with their own alone: train on "
+                    "the other data, from this run with --init"
+                )
+            sized = "side_m" in kind.own_settings() and self.tile_side_m is not None
+            settings = {"side_m": self.tile_side_m} if sized else {}
+            changed |= {"data": data, "split": "same-area"}
+        return replace(self, data_settings=settings | dict(own or {}), **changed)
 
     def dataset(
         self,
