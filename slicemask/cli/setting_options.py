@@ -31,19 +31,22 @@ def setting_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add options for another data set than a run's, and for each data set's own settings."""
-    help_text = "The data set at --root, for runs of panoramas.  [default: the run's]"
-    data = click.option("--data", type=click.Choice(list(DATA_SETS)), help=help_text)
-    for option in reversed([data, *_own_options("the run's")]):
+    data = click.option(
+        "--data",
+        type=click.Choice(list(DATA_SETS)),
+        help="The data set at --root, for runs of panoramas. What its own settings, which follow, "
+        "do not say is as the run has it, or of another data set its default.  "
+        "[default: the run's]",
+    )
+    for option in reversed([data, *_own_options(of_run=True)]):
         command = option(command)
     return command
 
 
 def take_data_settings(options: dict[str, Any]) -> dict[str, Any]:
     """Take the data sets' own settings out of the options of a command with `data_options`."""
-    own = {
-        name: options.pop(name) for kind in _data_sets().values() for name in kind.own_settings()
-    }
-    return given_settings(own)
+    names = {name for kind in _data_sets().values() for name in kind.own_settings()}
+    return given_settings({name: options.pop(name) for name in names & options.keys()})
 
 
 def given_settings(options: dict[str, Any]) -> dict[str, Any]:
@@ -101,13 +104,13 @@ def _data_sets() -> dict[str, type[DataConfig]]:
     return {name: config_class(name) for name in DATA_SETS}
 
 
-def _own_options(default: str | None = None) -> list[Callable[..., Any]]:
+def _own_options(of_run: bool = False) -> list[Callable[..., Any]]:
     """Options of the settings that each data set has of its own."""
     options = []
     for data, kind in _data_sets().items():
         own = documentation(kind)
         options += [
-            _option(field, own[field.name][0], f"{data}: {own[field.name][1]}", {}, default)
+            _option(field, own[field.name][0], f"{data}: {own[field.name][1]}", {}, of_run)
             for field in fields(kind)
             if field.name in kind.own_settings()
         ]
@@ -119,9 +122,9 @@ def _option(
     form: str,
     text: str,
     by_data: dict[str, Any],
-    default: str | None = None,
+    of_run: bool = False,
 ) -> Callable[..., Any] | None:
-    """The option of a setting, or None if it has none; its help may name another default."""
+    """The option of a setting, or None if it has none; of a run's, help names no default."""
     name = setting.metadata.get("option", setting.name.replace("_", "-"))
     if name is None:
         return None
@@ -133,10 +136,8 @@ def _option(
     none = re.search(r"[;,] [Nn]one for (.*?)(?=\.(\s|$)|:|$)", text)
     if none:
         text = text[: none.start()] + text[none.end() :]
-    if default is None:
+    if not of_run:
         text += _default(setting, by_data, none[1] if none else None)
-    else:
-        text += f"  [default: {default}]"
     if kind is bool:
         return click.option(f"--{name}/--no-{name}", setting.name, default=None, help=text)
     return click.option(f"--{name}", setting.name, type=_type(setting, kind, form), help=text)

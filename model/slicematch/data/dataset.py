@@ -338,29 +338,40 @@ class PoseDataset(Dataset[Sample | None]):
     def __getitem__(self, index: int) -> Sample | None:
         if not 0 <= index < len(self):  # which also ends a loop over the samples
             raise IndexError(f"sample {index} of {len(self)}")
-        training = self.part == "train"
-        for step in range(len(self) if training else 1):
-            tried = (index + step) % len(self)
-            try:
-                ground, aerial = self.load(tried)
-            except SampleError as error:
-                if self.bad_sample_log is None:
-                    raise
-                self.bad_sample_log.record(self.names[tried], error)
-                continue
-            return {
-                "ground": ground,
-                "aerial": aerial,
-                "pose": torch.from_numpy(self.pose(tried)),
-                "metres_per_pixel": float(self.tile_metres[tried] / self.aerial_size),
-                "name": self.names[tried],
-                "index": tried,
-            }
-        if training and self.bad_sample_log is not None:
-            raise DatasetError(
-                f"none of the {len(self)} samples is readable; see {self.bad_sample_log.path}"
-            )
-        return None
+        if self.part != "train":
+            return self.sample(index)
+        for step in range(len(self)):
+            sample = self.sample((index + step) % len(self))
+            if sample is not None:
+                return sample
+        assert self.bad_sample_log is not None  # else the first one has raised
+        raise DatasetError(
+            f"none of the {len(self)} samples is readable; see {self.bad_sample_log.path}"
+        )
+
+    def sample(self, index: int) -> Sample | None:
+        """A sample itself, or None for an unreadable one, which is written down.
+
+        Raises
+        ------
+        SampleError
+            If it is unreadable and there is no `bad_sample_log`.
+        """
+        try:
+            ground, aerial = self.load(index)
+        except SampleError as error:
+            if self.bad_sample_log is None:
+                raise
+            self.bad_sample_log.record(self.names[index], error)
+            return None
+        return {
+            "ground": ground,
+            "aerial": aerial,
+            "pose": torch.from_numpy(self.pose(index)),
+            "metres_per_pixel": float(self.tile_metres[index] / self.aerial_size),
+            "name": self.names[index],
+            "index": index,
+        }
 
     def _random(self, index: int, purpose: str = "") -> np.random.Generator:
         """Random numbers of one sample for one purpose, in training of one sample in one epoch."""

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar, Literal, cast, get_args
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,6 +212,21 @@ class DataConfig:
             In the aerial frame; the whole tile unless a data set knows better.
         """
         return 0.0, 0.0, 1.0, 1.0
+
+    def cut_to(self, side_m: float) -> dict[str, Any]:
+        """Own settings under which aerial tiles are as large on the ground as those of a run.
+
+        Parameters
+        ----------
+        side_m : float
+            Side of the run's tiles, in metres.
+
+        Returns
+        -------
+        dict
+            None where tiles are as large as they are.
+        """
+        return {}
 
     def check_root(self) -> None:
         """Refuse a root that is not there.

@@ -8,7 +8,7 @@ import functools
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from slicematch.data.table_cameras import table_cameras
 from slicematch.data.table_files import find_table
 from slicematch.data.views import View, camera_view, is_whole
 from slicematch.data.vigor import VigorConfig
-from slicematch.data.windows import tile_pixels
+from slicematch.data.windows import MOST_MISSING, tile_pixels
 
 if TYPE_CHECKING:
     from slicematch.data.maps import AerialMap
@@ -129,8 +129,7 @@ class TableConfig(DataConfig):
         if self.hfov_deg is not None and abs(self.hfov_deg - view.hfov_deg) > 1e-6:
             raise DatasetError(
                 f"hfov_deg is {self.hfov_deg:g}; the images of {self.root} show "
-                f"{view.hfov_deg:.4g} degrees: leave it out, or name a part of them by view; a "
-                "trained run takes images of its own kind alone"
+                f"{view.hfov_deg:.4g} degrees: leave it out, or name a part of them by view"
             )
         facts = {
             "view": tuple(view),
@@ -156,6 +155,11 @@ class TableConfig(DataConfig):
         from slicematch.data.table_source import TableSource
 
         return TableSource(self, part)
+
+    def cut_to(self, side_m: float) -> dict[str, Any]:
+        """As `DataConfig.cut_to`; where the smallest tile is too small for it, as large as that."""
+        smallest = _smallest_side_m(self.photographs(), default=side_m)
+        return {"side_m": side_m if smallest >= (1.0 - MOST_MISSING) * side_m else smallest}
 
     def photographs(self) -> Photographs:
         """The table's rows."""
@@ -186,11 +190,11 @@ def _read(path: Path, _modified: int, _size: int) -> Photographs:
     return read_photographs(path)
 
 
-def _smallest_side_m(photographs: Photographs) -> float:
-    """The side that all tiles of a table have, in metres."""
+def _smallest_side_m(photographs: Photographs, default: float = DEFAULT_SIDE_M) -> float:
+    """The side that all tiles of a table have, in metres; the default where it has none."""
     rows = [row for row, tile in enumerate(photographs.tile) if tile is not None]
     chosen = np.linspace(0, len(rows) - 1, _SAMPLED_TILES).astype(int) if rows else ()
     some = {rows[k] for k in chosen}
     metres = photographs.numbers["metres_per_pixel"]
     sides = [tile_pixels(str(photographs.tile[row])) * float(metres[row]) for row in some]
-    return min((side for side in sides if side > 0), default=DEFAULT_SIDE_M)
+    return min((side for side in sides if side > 0), default=default)

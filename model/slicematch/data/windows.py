@@ -34,7 +34,7 @@ def check_tile_side(tile_side_m: float, side_m: float, name: str) -> None:
     if tile_side_m < (1.0 - MOST_MISSING) * side_m:
         raise SampleError(
             f"{name}: is {tile_side_m:.4g} m wide and the run's tiles are {side_m:.4g} m; name a "
-            "larger tile or the right metres_per_pixel, or train with a smaller --side-m"
+            "larger tile, the right metres_per_pixel or a smaller --side-m"
         )
 
 

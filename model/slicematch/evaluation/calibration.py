@@ -18,11 +18,18 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
 from slicemask.files import write_text
+from slicematch.data import OWN
 from slicematch.data.dataset import BadSampleLog, collate
 from slicematch.data.loading import PoseLoader
+from slicematch.data.source import Part
 from slicematch.errors import ConfigError, RunError
+from slicematch.evaluation.measure import check_faults
 from slicematch.evaluation.metrics import nearest_candidates
-from slicematch.evaluation.samples import ChosenSamples, evenly_spaced_indices
+from slicematch.evaluation.samples import (
+    ChosenSamples,
+    check_one_source,
+    evenly_spaced_indices,
+)
 from slicematch.localization.localizer import Localizer
 from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint, RunFolder
@@ -172,9 +179,10 @@ def calibrate(
 ) -> dict[str, Any]:
     """Fit the temperature under which the true poses of the validation part are likeliest.
 
-    Training does this at its end; for older runs it can be done at any time. Samples are taken
-    evenly from the validation part: at most 1,000, and of many candidates fewer, so that there
-    are at most 50 million scores (but one sample at least).
+    Training does this at its end; for older runs, or for other data, it can be done at any time.
+    Of another data set the training part is taken, none of which was trained on; augmentation is
+    left out. Samples are taken evenly from the part: at most 1,000, and of many candidates fewer,
+    so that there are at most 50 million scores (but one sample at least).
 
     Parameters
     ----------
@@ -182,7 +190,8 @@ def calibrate(
         A run folder. Its ``calibration.json`` is written, or replaced; an ensemble's
         ``ensemble.json``.
     dataset : torch.utils.data.Dataset, optional
-        Validation samples of the program's own, as `slicematch.PoseDataset` documents them.
+        Validation samples of the program's own, as `slicematch.PoseDataset` documents them, instead
+        of a part of the run's data set or of another one.
     grid : str, optional
         Candidates such as "21x21x64"; the run's test grid by default.
     data, root, data_settings
@@ -203,7 +212,8 @@ def calibrate(
     -------
     content : dict
         What was written: the temperature, the mean negative log-likelihood ("nll") of the true
-        candidates under it and under the loss's tau, and what it was fitted to; with fewer than
+        candidates under it and under the loss's tau, and what it was fitted to, of which the name
+        of the data set ("own" of a program's), of its root and of its part; with fewer than
         30 samples also a "caution": the temperature is then the geometric mean, weighed by
         their number, of the one that fits them and of the one of the run that training started
         from (or the loss's tau).
@@ -217,17 +227,24 @@ def calibrate(
     """
     if find_run(run) != Path(run):
         raise ConfigError(
-            f"{run} comes with slicemask, whose files stay as they are; copy the folder "
-            f"{find_run(run)}, and calibrate the copy"
+            f"{run} comes with slicemask, whose files stay as they are; copy it with slicemask "
+            f"pack {run} --out DIR, and calibrate the copy"
         )
+    check_one_source(dataset, data, root, data_settings)
     folder = RunFolder(Path(run))
     config = folder.load_config()
     workers = check_workers(config.workers if workers is None else workers)
-    if config.validation_fraction == 0 and dataset is None:
+    others = data not in (None, config.data)
+    part: Part = "train" if others else "validation"
+    if config.validation_fraction == 0 and dataset is None and not others:
         raise ConfigError(
             f"{run}: was trained with validation_fraction 0, so no sample is left to fit a "
             "temperature to; without one the loss's tau is used"
         )
+    measured = config.with_data(data, root, data_settings)
+    samples = (
+        measured.dataset(part) if dataset is None else config.own_dataset(dataset, "validation")
+    )
     ensemble = bool(folder.members())
     file = folder.ensemble_file if ensemble else folder.calibration_file
     try:
@@ -237,11 +254,7 @@ def calibrate(
     localizer = Localizer.load(
         run, grid=grid, checkpoint=checkpoint, device=device, cache=cache, refine="none"
     )
-    samples = (
-        config.with_data(data, root, data_settings).dataset("validation")
-        if dataset is None
-        else config.own_dataset(dataset, "validation")
-    )
+    localizer.config = measured
     candidates = localizer.within()
     most = min(MOST_SAMPLES, max(1, MOST_SCORES // len(candidates.poses)))
     chosen = evenly_spaced_indices(len(samples), most)
@@ -255,7 +268,8 @@ def calibrate(
     truths = np.empty(len(chosen), dtype=np.int64)
     read = 0
     with tempfile.TemporaryDirectory() as scratch:
-        log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), config.max_bad_samples)
+        # Those met in worker processes too; the limit is seen to here.
+        log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(samples))
         samples.bad_sample_log = log
         for batch in loader:
             if batch is not None:
@@ -266,8 +280,13 @@ def calibrate(
                 read = rows.stop
             if progress is not None:
                 progress(read, len(chosen))
+            check_faults([*log.entries().values()], config)
+        faults = [*log.entries().values()]
     if read == 0:
-        raise ConfigError(f"{run}: none of the {len(chosen)} validation samples can be read")
+        raise ConfigError(
+            f"{run}: none of the {len(chosen)} samples can be read; mend them, or name the data's "
+            f"root; first: {faults[0]}"
+        )
     scores, truths = scores[:read], truths[:read]
     temperature, _ = fit_temperature(scores, truths)
     if read < FEW_SAMPLES:
@@ -280,14 +299,17 @@ def calibrate(
         "samples": read,
         "grid": str(localizer.grid),
         "checkpoint": checkpoint,
+        "data": OWN if dataset is not None else measured.data,
     }
+    if dataset is None:
+        content |= {"root": Path(measured.root).name, "part": part}
     if ensemble:
         content["members"] = [member.temperature for member in localizer.members]
     if read < FEW_SAMPLES:
         content["caution"] = (
             f"fitted to only {read} validation samples, and held near {expected:.4g}, which "
             f"{_holder(config, ensemble)}; probabilities are rough "
-            f"with fewer than {FEW_SAMPLES}: set more aside for validation in training"
+            f"with fewer than {FEW_SAMPLES}: fit it to more"
         )
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_text(file, text, RunError)

@@ -28,7 +28,7 @@ from slicematch.evaluation.measure import (
 )
 from slicematch.evaluation.metrics import RECALLS, oracle_error, pose_errors
 from slicematch.evaluation.report import Evaluation, write_results
-from slicematch.evaluation.samples import evenly_spaced_indices
+from slicematch.evaluation.samples import check_one_source, evenly_spaced_indices
 from slicematch.localization.localizer import Localizer
 from slicematch.localization.modes import REACH, REACH_DEG
 from slicematch.localization.refinement import DEFAULT, Refine
@@ -180,8 +180,7 @@ def evaluate(
         raise ConfigError(
             "a data set of the program's own is measured in one process, without dask"
         )
-    if data is not None and dataset is not None:
-        raise ConfigError(f"data is {data!r}, and a dataset of the program's own is given as well")
+    check_one_source(dataset, data, root, data_settings)
     localizer, samples = measuring.load(dataset)
     config = localizer.config
     split = split or config.split

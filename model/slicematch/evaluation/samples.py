@@ -1,11 +1,25 @@
 """The samples of a data set that are evaluated."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from torch.utils.data import Dataset
 
 from slicematch.data.dataset import PoseDataset, Sample
+from slicematch.errors import ConfigError
+
+
+def check_one_source(
+    dataset: Any, data: str | None, root: str | None, data_settings: Mapping[str, Any] | None
+) -> None:
+    """Refuse a data set of the program's own beside one that is named."""
+    named = {"data": data, "root": root, "data_settings": data_settings}
+    given = [f"{name} is {value!r}" for name, value in named.items() if value]
+    if dataset is not None and given:
+        raise ConfigError(
+            f"{given[0]}, and a dataset of the program's own is handed over, too; leave one out"
+        )
 
 
 def evenly_spaced_indices(count: int, limit: int | None) -> list[int]:
@@ -27,8 +41,8 @@ class ChosenSamples(Dataset[Sample | None]):
     Parameters
     ----------
     dataset : PoseDataset
-        Of any part. In the training part another sample stands in for an unreadable one, which
-        would count twice here.
+        Of any part. In training another sample stands in for an unreadable one, which would count
+        twice here.
     indices : sequence of int
         Places in the data set's list.
     """
@@ -41,5 +55,4 @@ class ChosenSamples(Dataset[Sample | None]):
         return len(self.indices)
 
     def __getitem__(self, number: int) -> Sample | None:
-        sample = self.dataset[self.indices[number]]
-        return sample if sample is None or sample["index"] == self.indices[number] else None
+        return self.dataset.sample(self.indices[number])

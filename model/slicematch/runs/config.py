@@ -540,10 +540,11 @@ class TrainConfig:
         root: str | None = None,
         own: Mapping[str, Any] | None = None,
     ) -> "TrainConfig":
-        """These settings for the images of another data set, or of another root.
+        """These settings for measuring: images as they are, of another data set where one is named.
 
-        The network, its images' sizes and its candidates stay; what the data set's own settings
-        are starts from its defaults, and aerial tiles are as large as those in training.
+        The network, its images' sizes and its candidates stay. Own settings of another data set
+        start from its defaults; its tiles, where it can cut them, are as large as in training, and
+        none of its samples is set aside for validation, since none was trained on.
 
         Parameters
         ----------
@@ -557,29 +558,52 @@ class TrainConfig:
         Raises
         ------
         ConfigError
-            If there is no such data set or setting, another data set has no root, or it or the run
-            has pinhole cameras, each of which is one of its own.
+            If there is no such data set or setting, or another data set has no root or other
+            images than panoramas that show as much as the run's do.
         """
-        changed: dict[str, Any] = {"root": root or self.root}
+        measured = replace(self, augment=False, restyle=0.0)
         if data in (None, self.data):
-            settings = dict(self.data_settings)
-        else:
-            kind = config_class(data)
-            if root is None:
-                raise ConfigError(
-                    f"data is {data!r}, and the run was trained on {self.data!r}; name the root of "
-                    "the other data, too"
-                )
-            if not self.projection == kind.projection == "equirectangular":
-                raise ConfigError(
-                    f"data is {data!r}, and the run was trained on {self.data!r}; only panoramas "
-                    "go with a run of other panoramas, and cameras with their own alone: train on "
-                    "the other data, from this run with --init"
-                )
-            sized = "side_m" in kind.own_settings() and self.tile_side_m is not None
-            settings = {"side_m": self.tile_side_m} if sized else {}
-            changed |= {"data": data, "split": "same-area"}
-        return replace(self, data_settings=settings | dict(own or {}), **changed)
+            settings = {**self.data_settings, **(own or {})}
+            return replace(measured, root=root or self.root, data_settings=settings)
+        self._check_name(data)
+        if not root:
+            raise ConfigError(
+                f"data is {data!r}, and the run was trained on {self.data!r}; name the root of the "
+                "other data, too"
+            )
+        measured = replace(
+            measured, data=data, root=root, split="same-area", data_settings=dict(own or {}),
+            validation_fraction=0.0, hfov_deg=None, projection=None, prior_centre_deg=None,
+            ground_aspect=None,
+        )  # fmt: skip
+        if not (self._of_panoramas() and measured._of_panoramas()):
+            raise ConfigError(
+                f"{root}: its images are {measured._images()}, and the run's are {self._images()}; "
+                "a run is measured on other data only where both are whole panoramas: train on "
+                "these, from the run with --init"
+            )
+        settings = dict(measured.data_settings)
+        if self.tile_side_m is not None:
+            settings |= measured.data_config().cut_to(self.tile_side_m)
+        settings |= own or {}
+        return replace(measured, hfov_deg=self.hfov_deg, data_settings=settings)
+
+    @staticmethod
+    def _check_name(data: str | None) -> None:
+        if data not in DATA_SETS:
+            raise ConfigError(f"data is {data!r}; it must be one of {', '.join(DATA_SETS)}")
+
+    def _of_panoramas(self) -> bool:
+        """Whether the images were whole panoramas before they were cut to the HFoV."""
+        part = self.data_settings.get("view") is not None
+        part |= self.data == OWN and self.hfov_deg not in (None, 360.0)
+        return self.projection == "equirectangular" and not part
+
+    def _images(self) -> str:
+        """The kind of the images, for a sentence."""
+        if self.projection != "equirectangular":
+            return f"{self.projection} ones"
+        return "whole panoramas" if self._of_panoramas() else "parts of panoramas"
 
     def dataset(
         self,
