@@ -140,10 +140,10 @@ def test_data_that_do_not_go_with_a_run(run, cache, table, tmp_path, changes, sa
     ("camera", "kind"),
     [
         (
-            "{projection: equirectangular, width: 128, height: 64, hfov_deg: 180}",
+            "projection: equirectangular, hfov_deg: 180",
             "parts of panoramas",
         ),
-        ("{projection: pinhole, width: 128, height: 64, hfov_deg: 70}", "pinhole ones"),
+        ("projection: pinhole, hfov_deg: 70", "pinhole ones"),
     ],
 )
 def test_images_that_show_less_than_a_runs(run, vigor, table, tmp_path, camera, kind):
