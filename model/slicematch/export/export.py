@@ -293,7 +293,7 @@ def _difference(part: str, found: NDArray[Any], wanted: NDArray[Any]) -> float:
 
 def _read_pairs(localizer: Localizer, part: str, root: str | None, most: int) -> _Pairs:
     """Some pairs of a part of the run's data, evenly spaced."""
-    dataset = localizer.config.dataset(part, root)
+    dataset = localizer.config.with_data(root=root).dataset(part)  # images as they are
     read = [dataset[index] for index in evenly_spaced_indices(len(dataset), most)]
     found = [sample for sample in read if sample is not None]
     if not found:
