@@ -224,7 +224,7 @@ class DataConfig:
         Returns
         -------
         dict
-            None where tiles are as large as they are.
+            Settings by name; empty for a data set that does not cut its tiles.
         """
         return {}
 

@@ -565,7 +565,8 @@ class TrainConfig:
         if data in (None, self.data):
             settings = {**self.data_settings, **(own or {})}
             return replace(measured, root=root or self.root, data_settings=settings)
-        self._check_name(data)
+        if data not in DATA_SETS:
+            raise ConfigError(f"data is {data!r}; it must be one of {', '.join(DATA_SETS)}")
         if not root:
             raise ConfigError(
                 f"data is {data!r}, and the run was trained on {self.data!r}; name the root of the "
@@ -585,13 +586,8 @@ class TrainConfig:
         settings = dict(measured.data_settings)
         if self.tile_side_m is not None:
             settings |= measured.data_config().cut_to(self.tile_side_m)
-        settings |= own or {}
+        settings.update(own or {})
         return replace(measured, hfov_deg=self.hfov_deg, data_settings=settings)
-
-    @staticmethod
-    def _check_name(data: str | None) -> None:
-        if data not in DATA_SETS:
-            raise ConfigError(f"data is {data!r}; it must be one of {', '.join(DATA_SETS)}")
 
     def _of_panoramas(self) -> bool:
         """Whether the images were whole panoramas before they were cut to the HFoV."""
