@@ -89,13 +89,13 @@ class _Texts(ParamType):
 
 
 def _options() -> list[Callable[..., Any]]:
-    documented = documentation(TrainConfig)
+    documented, classes = documentation(TrainConfig), _data_sets()
     options: list[Callable[..., Any] | None] = []
     for setting in fields(TrainConfig):
         if setting.name == "data_settings":
             options += _own_options()
             continue
-        by_data = {name: getattr(kind, setting.name, None) for name, kind in _data_sets().items()}
+        by_data = {name: getattr(kind, setting.name, None) for name, kind in classes.items()}
         options.append(_option(setting, *documented[setting.name], by_data))
     return [option for option in options if option is not None]
 

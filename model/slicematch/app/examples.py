@@ -93,7 +93,7 @@ class DataExamples:
     """
 
     def __init__(self, config: TrainConfig, root: str | None = None) -> None:
-        settings = config.data_config(root)
+        settings = config.with_data(root=root).data_config()
         columns = round(_GROUND_ROWS * settings.ground_aspect)
         self._seed = settings.seed
         self._source = replace(
@@ -101,7 +101,6 @@ class DataExamples:
             ground_size=(_GROUND_ROWS, columns),
             aerial_size=_AERIAL_SIDE,
             elevations=None,
-            augment=False,
         ).open("test")
         self._indices = evenly_spaced_indices(len(self._source.names), MOST_EXAMPLES)
 

@@ -6,7 +6,6 @@ Temperature scaling: Guo, Pleiss, Sun, Weinberger, *On Calibration of Modern Neu
 
 import json
 import math
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,17 +18,11 @@ from scipy.special import log_softmax
 
 from slicemask.files import write_text
 from slicematch.data import OWN
-from slicematch.data.dataset import BadSampleLog, collate
-from slicematch.data.loading import PoseLoader
 from slicematch.data.source import Part
 from slicematch.errors import ConfigError, RunError
-from slicematch.evaluation.measure import check_faults
+from slicematch.evaluation.measure import read_batches
 from slicematch.evaluation.metrics import nearest_candidates
-from slicematch.evaluation.samples import (
-    ChosenSamples,
-    check_one_source,
-    evenly_spaced_indices,
-)
+from slicematch.evaluation.samples import check_one_source, evenly_spaced_indices
 from slicematch.localization.localizer import Localizer
 from slicematch.runs.config import TrainConfig, check_workers
 from slicematch.runs.folder import Checkpoint, RunFolder
@@ -258,34 +251,23 @@ def calibrate(
     candidates = localizer.within()
     most = min(MOST_SAMPLES, max(1, MOST_SCORES // len(candidates.poses)))
     chosen = evenly_spaced_indices(len(samples), most)
-    loader = PoseLoader(
-        ChosenSamples(samples, chosen),
-        config.batch_size,
-        num_workers=workers,
-        collate_fn=collate,
-    )
     scores = np.empty((len(chosen), len(candidates.poses)), dtype=np.float32)
     truths = np.empty(len(chosen), dtype=np.int64)
     read = 0
-    with tempfile.TemporaryDirectory() as scratch:
-        # Those met in worker processes too; the limit is seen to here.
-        log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(samples))
-        samples.bad_sample_log = log
-        for batch in loader:
-            if batch is not None:
-                rows = slice(read, read + len(batch["pose"]))
-                found = localizer.scores(batch["ground"], batch["aerial"])
-                scores[rows] = found.float().cpu().numpy()
-                truths[rows] = nearest_candidates(candidates.poses, batch["pose"].numpy())
-                read = rows.stop
-            if progress is not None:
-                progress(read, len(chosen))
-            check_faults([*log.entries().values()], config)
-        faults = [*log.entries().values()]
+    faults: dict[str, str] = {}
+    for batch in read_batches(samples, chosen, config, workers, faults):
+        if batch is not None:
+            rows = slice(read, read + len(batch["pose"]))
+            found = localizer.scores(batch["ground"], batch["aerial"])
+            scores[rows] = found.float().cpu().numpy()
+            truths[rows] = nearest_candidates(candidates.poses, batch["pose"].numpy())
+            read = rows.stop
+        if progress is not None:
+            progress(read, len(chosen))
     if read == 0:
         raise ConfigError(
             f"{run}: none of the {len(chosen)} samples can be read; mend them, or name the data's "
-            f"root; first: {faults[0]}"
+            f"root; first: {next(iter(faults.values()))}"
         )
     scores, truths = scores[:read], truths[:read]
     temperature, _ = fit_temperature(scores, truths)

@@ -3,7 +3,7 @@
 import functools
 import tempfile
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -143,24 +143,59 @@ def measure(
         If more are unreadable than the run's settings allow.
     """
     rows: dict[int, Row] = {}
+    faults: dict[str, str] = {}
     batch_size = localizer.config.batch_size
+    batches = read_batches(samples, chosen, localizer.config, workers, faults)
+    for number, batch in enumerate(batches, start=1):
+        if batch is not None:
+            rows |= _rows(localizer, samples, batch)
+        if progress is not None:
+            progress(min(number * batch_size, len(chosen)), len(chosen))
+    for index in {*chosen} - {*rows}:
+        rows[index] = {"index": index, "error": faults.get(samples.names[index], "is unreadable")}
+    return [rows[index] for index in chosen]
+
+
+def read_batches(
+    samples: PoseDataset,
+    chosen: Sequence[int],
+    config: TrainConfig,
+    workers: int,
+    faults: dict[str, str],
+) -> Iterator[dict[str, Any] | None]:
+    """Batches of samples, each of those that are readable: None where none is.
+
+    Parameters
+    ----------
+    samples : PoseDataset
+        Of any part.
+    chosen : sequence of int
+        Their indices, each once.
+    config : TrainConfig
+        With the batches' size, and how many samples may be unreadable.
+    workers : int
+        Processes that load images.
+    faults : dict
+        What is wrong with unreadable samples, by name, is entered here.
+
+    Raises
+    ------
+    RunError
+        If more are unreadable than the settings allow.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         # Those met in worker processes too; the limit is seen to here.
         log = BadSampleLog(Path(scratch, "bad_samples.jsonl"), len(samples))
         samples.bad_sample_log = log
-        loader = PoseLoader(
-            ChosenSamples(samples, chosen), batch_size, num_workers=workers, collate_fn=collate
-        )
-        for number, batch in enumerate(loader, start=1):
-            if batch is not None:
-                rows |= _rows(localizer, samples, batch)
-            if progress is not None:
-                progress(min(number * batch_size, len(chosen)), len(chosen))
-            check_faults(list(log.entries().values()), localizer.config)
-        faults = log.entries()
-    for index in {*chosen} - {*rows}:
-        rows[index] = {"index": index, "error": faults.get(samples.names[index], "is unreadable")}
-    return [rows[index] for index in chosen]
+        for batch in PoseLoader(
+            ChosenSamples(samples, chosen),
+            config.batch_size,
+            num_workers=workers,
+            collate_fn=collate,
+        ):
+            yield batch
+            faults.update(log.entries())
+            check_faults([*faults.values()], config)
 
 
 def check_faults(faults: Sequence[str], config: TrainConfig) -> None:

@@ -561,9 +561,10 @@ class TrainConfig:
             If there is no such data set or setting, or another data set has no root or other
             images than panoramas that show as much as the run's do.
         """
+        own = dict(own or {})
         measured = replace(self, augment=False, restyle=0.0)
         if data in (None, self.data):
-            settings = {**self.data_settings, **(own or {})}
+            settings = {**self.data_settings, **own}
             return replace(measured, root=root or self.root, data_settings=settings)
         if data not in DATA_SETS:
             raise ConfigError(f"data is {data!r}; it must be one of {', '.join(DATA_SETS)}")
@@ -573,7 +574,7 @@ class TrainConfig:
                 "other data, too"
             )
         measured = replace(
-            measured, data=data, root=root, split="same-area", data_settings=dict(own or {}),
+            measured, data=data, root=root, split="same-area", data_settings=own,
             validation_fraction=0.0, hfov_deg=None, projection=None, prior_centre_deg=None,
             ground_aspect=None,
         )  # fmt: skip
@@ -583,10 +584,9 @@ class TrainConfig:
                 "a run is measured on other data only where both are whole panoramas: train on "
                 "these, from the run with --init"
             )
-        settings = dict(measured.data_settings)
-        if self.tile_side_m is not None:
-            settings |= measured.data_config().cut_to(self.tile_side_m)
-        settings.update(own or {})
+        side_m = self.tile_side_m
+        tiles = {} if side_m is None else measured.data_config().cut_to(side_m)
+        settings = {**measured.data_settings, **tiles, **own}
         return replace(measured, hfov_deg=self.hfov_deg, data_settings=settings)
 
     def _of_panoramas(self) -> bool:

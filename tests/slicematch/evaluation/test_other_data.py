@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from slicematch.app.examples import DataExamples
 from slicematch.data.errors import DatasetError
 from slicematch.data.to_table import table_from_vigor
 from slicematch.errors import ConfigError
@@ -55,17 +56,8 @@ def test_from_the_command(slicemask, run, vigor, table, tmp_path):
 
 def calibrated(folder, cache, *arguments):
     """What the command gives."""
-    arguments = [
-        "calibrate",
-        folder,
-        "--cache",
-        cache,
-        "--device",
-        "cpu",
-        "--workers",
-        0,
-        *arguments,
-    ]
+    options = ("--cache", cache, "--device", "cpu", "--workers", 0)
+    arguments = ["calibrate", folder, *options, *arguments]
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
@@ -192,3 +184,8 @@ def test_on_a_map_alone_tiles_are_as_large_as_in_training(mapped, tmp_path):
     samples = on_map.dataset("test")
     assert len(samples) == len(mapped.poses)
     assert set(samples.tile_metres) == {60.0}
+
+
+def test_a_page_shows_images_of_a_run_that_was_trained_in_other_styles(run):
+    config = replace(RunFolder(run).load_config(), augment=True, restyle=0.5)
+    assert len(DataExamples(config)) == 5
